@@ -1,0 +1,62 @@
+"""What every door of the library uses to refuse bad input, and the errors it raises."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+
+class OutsideGridError(ValueError):
+    """A point is outside the grid that it needs; the message names the point, its position and the grid."""
+
+
+class _CarriesState(RuntimeError):
+    """A run stopped; ``state`` is the last good snapshot (``None`` before the first)."""
+
+    def __init__(self, message: str, state: Any = None):
+        super().__init__(message)
+        self.state = state
+
+
+class NotConvergedError(_CarriesState):
+    """A load step found no equilibrium; ``.state`` is the last good snapshot."""
+
+
+class UnstableError(_CarriesState):
+    """A run became unstable; ``.state`` is the last good snapshot."""
+
+
+def check_array(name: str, value: Any, shape: tuple[int | None, ...]) -> ndarray:
+    """Return ``value`` as a finite float array of the given shape (``None`` fits any length), or say what is wrong."""
+    array = np.asarray(value)
+    wanted = "(" + ", ".join("n" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
+    if array.dtype.kind != "f":
+        raise TypeError(f"{name}: got an array of {array.dtype}, expected floats; write {name}.astype(float) if that is meant.")
+    if array.ndim != len(shape) or any(want not in (None, got) for got, want in zip(array.shape, shape)):
+        hint = "; transpose it: components come first, points last" if array.T.shape == shape else ""
+        raise ValueError(f"{name}: got shape {array.shape}, expected {wanted}, components first and points last{hint}.")
+    if not np.isfinite(array).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(f"{name}: got {array[index]} at index {index}, expected finite numbers; look at what made the array.")
+    return array.astype(float, copy=False)
+
+
+def check_positive(name: str, value: Any) -> None:
+    """Refuse zero, negative and not-a-number entries, naming the first one."""
+    array = np.asarray(value)
+    bad = ~(array > 0)
+    if bad.any():
+        if array.ndim == 0:
+            raise ValueError(f"{name}: got {value}, expected a number above zero.")
+        index = int(np.flatnonzero(bad)[0])
+        raise ValueError(f"{name}: got {array.flat[index]} at point {index}, expected numbers above zero.")
+
+
+def check_choice(name: str, value: Any, choices: Iterable[str]) -> None:
+    """Refuse a name that is not one of ``choices``, and list them."""
+    choices = tuple(choices)
+    if value not in choices:
+        raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(map(repr, choices))}.")
