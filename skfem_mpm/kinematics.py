@@ -7,6 +7,7 @@ stored packed, ``(ncomp, n)``, shear as the tensor component.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,3 +100,208 @@ uniaxial = Kinematics("uniaxial", (1,), ((0, 0),))
 plane_strain = Kinematics("plane strain", (2,), PLANE)
 axisymmetric = Kinematics("axisymmetric", (1, 2), PLANE)
 solid = Kinematics("solid", (3,), SPACE)
+
+
+@dataclass(frozen=True)
+class Response:
+    """What points answer to a displacement gradient over a step.
+
+    Attributes
+    ----------
+    piola
+        ``(m, n)``; first Piola stress relative to the start of the step, one row per gradient row.
+    sigma, epsilon
+        ``(ncomp, n)``; Cauchy stress and (logarithmic only) elastic logarithmic strain at its end.
+    ratio
+        ``(n,)``; volume at the end over volume at the start.
+    tangent
+        Makes the derivative of ``piola`` by the gradient, ``(m, m, n)`` or ``(m, m, 1)``.
+    """
+
+    piola: ndarray
+    sigma: ndarray
+    epsilon: ndarray | None
+    ratio: ndarray
+    tangent: Callable[[], ndarray]
+
+
+class Small:
+    """Small-strain increments on updated positions, as in the paper: stress and start of step are one configuration."""
+
+    name = "small"
+
+    def __init__(self, kinematics: Kinematics, dim: int, law: Any, sigma: ndarray, epsilon: ndarray | None):
+        if law.kirchhoff:
+            raise ValueError(f"strain: got 'small' with {type(law).__name__}, which needs strain='logarithmic'; use "
+                             "LinearElastic for small strain.")
+        self.kinematics, self.dim, self.law, self.sigma = kinematics, dim, law, sigma
+        self.places = kinematics.rows(dim)
+        self.symmetric = [kinematics.packed_index(place) for place in self.places]
+
+    def stretch(self, gradient: ndarray) -> ndarray:
+        """Volume ratio over the step, ``(n,)``; not positive where a point turns inside out."""
+        return _ratio(_deformation(gradient, self.dim), gradient, self.dim)
+
+    def respond(self, gradient: ndarray) -> Response:
+        """Stress after the increment ``gradient (m, n)``."""
+        strain = np.zeros_like(self.sigma)
+        for row, (i, j), packed in zip(gradient, self.places, self.symmetric):
+            strain[packed] += row if i == j else row / 2
+        sigma = self.law.update(strain, self.sigma, self.kinematics.components)
+        return Response(sigma[self.symmetric], sigma, None, self.stretch(gradient),
+                        lambda: self.law.tangent(strain, sigma, self.places))
+
+
+class Logarithmic(Small):
+    r"""Finite strain: the law sees the elastic logarithmic strain :math:`\frac12 \ln b` with
+    :math:`b = F^\Delta b_n F^{\Delta T}`.
+
+    The stress handed on is :math:`\Pi = J^\Delta \sigma F^{\Delta -T}`, so geometry stays that of the start of the step
+    and the tangent needs no further geometric term.
+    """
+
+    name = "logarithmic"
+
+    def __init__(self, kinematics: Kinematics, dim: int, law: Any, sigma: ndarray, epsilon: ndarray | None):
+        self.kinematics, self.dim, self.law = kinematics, dim, law
+        self.places = kinematics.rows(dim)
+        self.symmetric = [kinematics.packed_index(place) for place in self.places]
+        self.start = np.zeros_like(sigma) if epsilon is None else epsilon
+        block = self.start[self.symmetric[:dim * dim]].reshape(dim, dim, -1)
+        value, vector = _eigen(block)
+        self.b = _compose(np.exp(2 * value), vector)
+        self.dilation = np.exp(self._trace(self.start))
+
+    def _trace(self, packed: ndarray) -> ndarray:
+        return sum(row for row, (i, j) in zip(packed, self.kinematics.components) if i == j)
+
+    def respond(self, gradient: ndarray) -> Response:
+        """Stress after the increment ``gradient (m, n)``."""
+        dim, components = self.dim, self.kinematics.components
+        F = _deformation(gradient, dim)
+        ratio = _ratio(F, gradient, dim)
+        value, vector = _eigen(np.einsum("ikn,kln,jln->ijn", F, self.b, F, optimize=True))
+        value = np.log(value) / 2
+        epsilon = self.start.copy()
+        epsilon[self.symmetric[:dim * dim]] = _compose(value, vector).reshape(dim * dim, -1)
+        if self.kinematics.hoop:
+            epsilon[2] += np.log1p(gradient[-1])
+        stress = self.law.update(epsilon, np.zeros_like(epsilon), components)
+        scale = 1 / self.dilation if self.law.kirchhoff else ratio
+        sigma = stress / np.exp(self._trace(epsilon)) if self.law.kirchhoff else stress
+        inverse = _inverse(F)
+        piola = np.empty_like(gradient)
+        block = stress[self.symmetric[:dim * dim]].reshape(dim, dim, -1)
+        piola[:dim * dim] = (scale * np.einsum("ikn,jkn->ijn", block, inverse)).reshape(dim * dim, -1)
+        if self.kinematics.hoop:
+            piola[-1] = scale * stress[2] / (1 + gradient[-1])
+
+        def tangent() -> ndarray:
+            spatial = self._spatial(epsilon, stress, value, vector)
+            return _pull_back(scale * spatial, inverse, 1 / (1 + gradient[-1]) if self.kinematics.hoop else None)
+
+        return Response(piola, sigma, epsilon, ratio, tangent)
+
+    def _spatial(self, epsilon: ndarray, stress: ndarray, value: ndarray, vector: ndarray) -> ndarray:
+        """Change of stress with the velocity gradient :math:`dL = dF F^{-1}`, less the part that F's inverse brings."""
+        m, dim = len(self.places), self.dim
+        rate = np.zeros((m, m, epsilon.shape[1]))
+        rate[:dim * dim, :dim * dim] = _strain_rate(value, vector)
+        if self.kinematics.hoop:
+            rate[-1, -1] = 1
+        law = self.law.tangent(epsilon, stress, self.places)
+        if law.shape[2] == 1:
+            spatial = (law[:, :, 0] @ rate.reshape(m, -1)).reshape(rate.shape)
+        else:
+            spatial = np.einsum("ijn,jkn->ikn", law, rate)
+        for p, (i, j) in enumerate(self.places):
+            for q, (k, l) in enumerate(self.places):
+                if k == j:                       # - sigma dL^T
+                    spatial[p, q] -= stress[self.kinematics.packed_index((i, l))] if (i, l) in self.places else 0
+                if k == l and not self.law.kirchhoff:    # + sigma tr dL, for Cauchy stress goes with the volume
+                    spatial[p, q] += stress[self.symmetric[p]]
+        return spatial
+
+
+STRAINS = {"small": Small, "logarithmic": Logarithmic}
+
+
+def _deformation(gradient: ndarray, dim: int) -> ndarray:
+    """In-plane block of the deformation gradient over the step, ``(dim, dim, n)``."""
+    return np.eye(dim)[:, :, None] + gradient[:dim * dim].reshape(dim, dim, -1)
+
+
+def _ratio(F: ndarray, gradient: ndarray, dim: int) -> ndarray:
+    """Volume ratio; a negative sign marks any inverted stretch, even an inverted pair."""
+    hoop = 1 + gradient[-1] if len(gradient) > dim * dim else 1.0
+    return np.where(np.less_equal(hoop, 0), -1.0, 1.0) * np.abs(hoop) * _determinant(F)
+
+
+def _determinant(F: ndarray) -> ndarray:
+    if len(F) == 1:
+        return F[0, 0]
+    if len(F) == 2:
+        return F[0, 0] * F[1, 1] - F[0, 1] * F[1, 0]
+    return np.einsum("in,in->n", F[0], np.cross(F[1], F[2], axis=0))
+
+
+def _inverse(F: ndarray) -> ndarray:
+    if len(F) == 1:
+        return 1 / F
+    if len(F) == 2:
+        return np.array([[F[1, 1], -F[0, 1]], [-F[1, 0], F[0, 0]]]) / _determinant(F)
+    return np.linalg.inv(F.transpose(2, 0, 1)).transpose(1, 2, 0)
+
+
+def _eigen(a: ndarray) -> tuple[ndarray, ndarray]:
+    """Eigenvalues ``(d, n)`` and vectors ``(d, d, n)`` (second index: which) of symmetric blocks ``(d, d, n)``."""
+    if len(a) == 1:
+        return a[0], np.ones_like(a)
+    if len(a) == 2:
+        middle, half = (a[0, 0] + a[1, 1]) / 2, (a[0, 0] - a[1, 1]) / 2
+        radius = np.hypot(half, a[0, 1])
+        angle = np.arctan2(a[0, 1], half) / 2
+        c, s = np.cos(angle), np.sin(angle)
+        return np.stack([middle + radius, middle - radius]), np.array([[c, -s], [s, c]])
+    value, vector = np.linalg.eigh(a.transpose(2, 0, 1))
+    return value.T, vector.transpose(1, 2, 0)
+
+
+def _compose(value: ndarray, vector: ndarray) -> ndarray:
+    return np.einsum("an,ian,jan->ijn", value, vector, vector, optimize=True)
+
+
+def _strain_rate(value: ndarray, vector: ndarray) -> ndarray:
+    r"""Derivative of logarithmic strain by the velocity gradient, ``(d*d, d*d, n)``, from principal strains.
+
+    In principal axes :math:`d\varepsilon_{aa} = dL_{aa}` and
+    :math:`d\varepsilon_{ab} = \frac{\varepsilon_a-\varepsilon_b}{b_a-b_b} (b_b dL_{ab} + b_a dL_{ba})`.
+    """
+    d = len(value)
+
+    def dyad(a: int, b: int) -> ndarray:
+        return (vector[:, None, a] * vector[None, :, b]).reshape(d * d, -1)
+
+    total = sum(dyad(a, a)[:, None] * dyad(a, a) for a in range(d))
+    for a in range(d):
+        for b in range(a + 1, d):
+            x = 2 * (value[a] - value[b])
+            near = np.abs(x) < 1e-12
+            forward = np.where(near, 1.0, x / np.expm1(np.where(near, 1.0, x))) / 2
+            backward = forward + x / 2
+            total += (dyad(a, b) + dyad(b, a))[:, None] * (forward * dyad(a, b) + backward * dyad(b, a))
+    return total
+
+
+def _pull_back(spatial: ndarray, inverse: ndarray, hoop: ndarray | None) -> ndarray:
+    """Take both legs of a spatial tangent ``(m, m, n)`` back to the start of the step."""
+    dim = len(inverse)
+    for leg in range(2):
+        turned = spatial.copy()
+        for i in range(dim):
+            for j in range(dim):
+                turned[i * dim + j] = sum(inverse[j, p] * spatial[i * dim + p] for p in range(dim))
+        if hoop is not None:
+            turned[-1] = hoop * spatial[-1]
+        spatial = turned.transpose(1, 0, 2)
+    return spatial

@@ -1,0 +1,1 @@
+"""Benchmark and verification problems as plain data, with their closed forms."""
