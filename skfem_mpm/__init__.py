@@ -1,5 +1,26 @@
 """Material points for scikit-fem: MPM, GIMP and CMPM on fixed background grids."""
 
+from .basis import METHODS, CMPMBasis, GIMPBasis, Method, ParticleBasis
+from .checks import NotConvergedError, OutsideGridError, UnstableError
+from .elements import (
+    ElementHexCMPM,
+    ElementHexGIMP,
+    ElementLineCMPM,
+    ElementLineGIMP,
+    ElementQuadCMPM,
+    ElementQuadGIMP,
+    patch_dofs,
+)
+from .implicit import implicit_steps
 from .kinematics import axisymmetric, plane_strain, solid, uniaxial
+from .materials import Hencky, LinearElastic
+from .particles import Particles
 
-__all__ = ["axisymmetric", "plane_strain", "solid", "uniaxial"]
+__version__ = "0.1.0"
+
+__all__ = [
+    "METHODS", "CMPMBasis", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP", "ElementQuadCMPM",
+    "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "Method", "NotConvergedError", "OutsideGridError",
+    "ParticleBasis", "Particles", "UnstableError", "axisymmetric", "implicit_steps", "patch_dofs", "plane_strain", "solid",
+    "uniaxial",
+]

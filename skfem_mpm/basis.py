@@ -63,6 +63,8 @@ class ParticleBasis(CellBasis):
     1.0
     """
 
+    reads_domains = False    # whether the points need a length
+
     def __init__(self, mesh: Mesh, elem: Element, particles: Particles, cells: ndarray | None = None,
                  dofs: Dofs | None = None):
         if mesh.refdom is not elem.refdom:
@@ -310,6 +312,8 @@ class GIMPBasis(_OnGrid):
     >>> GIMPBasis(MeshLine().refined(2), ElementLineP1(), points).value.T.tolist()
     [[0.05, 0.9, 0.05]]
     """
+
+    reads_domains = True
 
     def __init__(self, mesh: Mesh, elem: Element, particles: Particles, edges: Edges = "ghost", dofs: Dofs | None = None):
         check_choice("edges", edges, EDGES)

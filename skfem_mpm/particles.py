@@ -249,7 +249,7 @@ class Particles:
         """
         _check_mesh(mesh, kinematics)
         points, parts = _rule(mesh.elem, per_cell, rule)
-        corners = mesh.p.astype(float, copy=False)[:, mesh.t]
+        corners = mesh.p[:, mesh.t]
         x = _positions(mesh.elem, corners, points)
         keep = _keep(where, x)
         cells = np.flatnonzero(keep.any(axis=1))

@@ -97,8 +97,8 @@ def scattered(mesh, count=400, seed=3):
     """Random points, and the cells they were drawn in."""
     rng = np.random.default_rng(seed)
     cells = rng.integers(0, mesh.nelements, count)
-    weights = rng.dirichlet(np.ones(len(mesh.elem().doflocs)), count)
-    X = (weights @ mesh.elem().doflocs).T
+    simplex = mesh.elem.maxdeg == 1
+    X = rng.dirichlet(np.ones(mesh.dim() + 1), count).T[1:] if simplex else rng.uniform(0, 1, (mesh.dim(), count))
     return position(mesh, cells, X), cells
 
 
@@ -168,6 +168,15 @@ def test_no_lower_cell_contains_a_point_on_an_entity(name):
         below = np.arange(cell)
         X = locator._invert(mesh, below, np.repeat(x[:, point:point + 1], cell, axis=1))
         assert not inside_reference(mesh, X, 1e-13).any()
+
+
+def test_a_point_behind_a_bowed_facet_is_handed_over_to_the_right_cell():
+    mesh = MESHES["hex bowed"]
+    finder = CellLocator(mesh)
+    x, drawn = scattered(mesh, 5000)
+    by_planes = finder._walk_over_planes(x, None)
+    assert (by_planes != drawn).sum() > 10
+    assert_array_equal(finder.find(x)[0], drawn)
 
 
 @every_mesh

@@ -160,12 +160,6 @@ def test_far_from_the_origin_the_volumes_stay_exact():
     assert_allclose(Particles.fill(mesh, plane_strain).volume, 0.25, rtol=1e-15)
 
 
-def test_single_precision_meshes_are_integrated_in_double():
-    mesh = MeshQuad(QUAD.p.astype(np.float32), QUAD.t)
-    expected = integral(MeshQuad(mesh.p.astype(float), mesh.t), measure(plane_strain))
-    assert_allclose(Particles.fill(mesh, plane_strain).volume.sum(), expected, rtol=1e-13)
-
-
 def test_filling_twice_gives_the_same_bits():
     first, second = (Particles.fill(distorted(HEX), solid).arrays() for _ in range(2))
     assert all((first[name] == second[name]).all() for name in first)

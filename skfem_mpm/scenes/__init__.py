@@ -1,1 +1,5 @@
-"""Benchmark and verification problems as plain data, with their closed forms."""
+"""The paper's problems as plain data, with their references."""
+
+from .cylinder import Cylinder, cylinder
+
+__all__ = ["Cylinder", "cylinder"]

@@ -1,0 +1,169 @@
+r"""How point stress becomes nodal force: the operators :math:`G` (gradient) and :math:`L` (force) of a step.
+
+Internal force is :math:`f = L\,\Pi(G u)` with the stress relative to the start of the step, its tangent
+:math:`L\,\mathbb A\,G`; there is no other geometric term.  ``points`` integrates with the points as quadrature,
+:math:`L_{Ip} = W_p V_p \nabla N_I(x_p)`.  Nodal arrays are ``(dim, nnodes)``, nodes numbered as in the stencil.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy import ndarray
+from scipy.sparse import csc_array
+
+from .grid import Stencil, chunks
+from .kinematics import Kinematics
+
+
+def scatter_add(out: ndarray, index: ndarray, values: ndarray) -> None:
+    """Add ``values`` to ``out`` at ``index``, repeated entries included; touches only the range that occurs."""
+    low = index.min()
+    sums = np.bincount((index - low).ravel(), weights=values.ravel())
+    out[low:low + len(sums)] += sums
+
+
+def nodal_sum(stencil: Stencil, amount: ndarray) -> ndarray:
+    """Share point amounts ``(n,)`` among the nodes by the shape functions: lumped mass from mass."""
+    out = np.zeros(int(np.prod(stencil.shape)))
+    for part in chunks(stencil.n):
+        scatter_add(out, stencil.nodes(part), stencil.value(part) * amount[part])
+    return out
+
+
+def at_points(stencil: Stencil, nodal: ndarray) -> ndarray:
+    """Interpolate nodal vectors ``(dim, nnodes)`` to the points, ``(dim, n)``."""
+    out = np.empty((len(nodal), stencil.n))
+    for part in chunks(stencil.n):
+        nodes, value = stencil.nodes(part), stencil.value(part)
+        for i, row in enumerate(nodal):
+            out[i, part] = np.einsum("kn,kn->n", value, row[nodes])
+    return out
+
+
+class PointIntegration:
+    """The points are the quadrature: ``integration="points"``.
+
+    Parameters
+    ----------
+    kinematics
+        Which gradient rows there are.
+    force, strain
+        Stencils that carry force and recover strain; the same one for conjugate pairs.
+    volume
+        ``(n,)``; weighted volumes at the start of the step.
+    radius
+        ``(n,)``; the first coordinate, for the hoop row.
+    """
+
+    def __init__(self, kinematics: Kinematics, force: Stencil, strain: Stencil, volume: ndarray, radius: ndarray):
+        self.force_stencil, self.strain_stencil = force, strain
+        self.volume, self.radius = volume, radius
+        self.dim = len(force.shape)
+        self.hoop = kinematics.hoop
+        self.rows = kinematics.rows(self.dim)
+        # Row q of the gradient takes component i of a vector through table l: slopes along the axes, then value / r.
+        place = [(0, self.dim) if self.hoop and q == self.dim ** 2 else ij for q, ij in enumerate(self.rows)]
+        self.terms = [[(q, l) for q, (component, l) in enumerate(place) if component == i] for i in range(self.dim)]
+
+    def _tables(self, stencil: Stencil, part: slice) -> list[ndarray]:
+        tables = list(stencil.gradient(part))
+        return tables + [stencil.value(part) / self.radius[part]] if self.hoop else tables
+
+    def gradient(self, u: ndarray) -> ndarray:
+        """:math:`G u`: displacement gradient at the points, ``(m, n)``."""
+        out = np.empty((len(self.rows), self.strain_stencil.n))
+        for part in chunks(out.shape[1]):
+            nodes, tables = self.strain_stencil.nodes(part), self._tables(self.strain_stencil, part)
+            for i, terms in enumerate(self.terms):
+                local = u[i][nodes]
+                for q, l in terms:
+                    out[q, part] = np.einsum("kn,kn->n", tables[l], local)
+        return out
+
+    def force(self, piola: ndarray) -> ndarray:
+        r""":math:`L \Pi`: internal force, ``(dim, nnodes)``, from point stress ``(m, n)``."""
+        out = np.zeros((self.dim, int(np.prod(self.force_stencil.shape))))
+        for part in chunks(piola.shape[1]):
+            nodes, tables = self.force_stencil.nodes(part), self._tables(self.force_stencil, part)
+            stress = piola[:, part] * self.volume[part]
+            for i, terms in enumerate(self.terms):
+                scatter_add(out[i], nodes, sum(tables[l] * stress[q] for q, l in terms))
+        return out
+
+    def tangent(self, moduli: ndarray, number: ndarray, size: int) -> csc_array:
+        r""":math:`L\,\mathbb A\,G` as a sparse matrix.
+
+        Parameters
+        ----------
+        moduli
+            ``(m, m, n)`` or ``(m, m, 1)``; derivative of point stress by the gradient.
+        number
+            ``(dim, nnodes)``; row and column of each unknown, ascending with node and component; -1 for none.
+        size
+            Number of unknowns.
+
+        Notes
+        -----
+        On a tensor grid a node couples to neighbours within a fixed reach, so each pair of nodes has a place in a dense
+        table *column node x offset of the row node*: sums need no search and no sorting.
+        """
+        reach = self._reach()
+        offsets = (2 * reach + 1) ** self.dim
+        table = np.zeros((self.dim, self.dim, number.shape[1] * offsets))
+        for part in self._pieces():
+            slot = self._slots(part, reach)
+            for k, i, values in self._pairs(moduli, part):
+                scatter_add(table[k, i], slot, values)
+        return self._to_csc(table, reach, number, size)
+
+    def _pairs(self, moduli: ndarray, part: slice) -> Iterator[tuple[int, int, ndarray]]:
+        """Contributions ``(nodes of force, nodes of strain, points)`` to column component k and row component i."""
+        of_force = self._tables(self.force_stencil, part)
+        of_strain = of_force if self.strain_stencil is self.force_stencil else self._tables(self.strain_stencil, part)
+        scaled = (moduli if moduli.shape[2] == 1 else moduli[:, :, part]) * self.volume[part]
+        for k, columns in enumerate(self.terms):
+            stress = [sum(scaled[q, r] * of_strain[l] for r, l in columns) for q in range(len(self.rows))]
+            for i, rows in enumerate(self.terms):
+                yield k, i, sum(of_force[l][:, None] * stress[q] for q, l in rows)
+
+    def _pieces(self) -> Iterator[slice]:
+        """Smaller pieces for wider stencils, so that the pairs of a piece stay in the cache."""
+        width = self.force_stencil.w.shape[2] * self.strain_stencil.w.shape[2]
+        size = max(64, 4 ** self.dim * 4096 // width ** self.dim)
+        return (slice(start, start + size) for start in range(0, self.force_stencil.n, size))
+
+    def _reach(self) -> int:
+        shift = self.force_stencil.base - self.strain_stencil.base
+        return int(max(shift.max() + self.force_stencil.w.shape[2], self.strain_stencil.w.shape[2] - shift.min())) - 1
+
+    def _slots(self, part: slice, reach: int) -> ndarray:
+        """Place of each pair in the table, ``(nodes of force, nodes of strain, points)``."""
+        force, strain, span = self.force_stencil, self.strain_stencil, 2 * reach + 1
+        shift = force.base[:, part] - strain.base[:, part] + reach
+        rows = np.indices((force.w.shape[2],) * self.dim).reshape(self.dim, -1)
+        columns = np.indices((strain.w.shape[2],) * self.dim).reshape(self.dim, -1)
+        power = span ** np.arange(self.dim)[::-1]
+        start = strain.nodes(part) * span ** self.dim - (power @ columns)[:, None]
+        return (power @ rows)[:, None, None] + (start + power @ shift)
+
+    def _to_csc(self, table: ndarray, reach: int, number: ndarray, size: int) -> csc_array:
+        dim, nnodes = number.shape
+        span = 2 * reach + 1
+        per_column = table.reshape(dim, dim, nnodes, -1).transpose(2, 0, 3, 1)       # node, component k, offset, i
+        value = per_column.ravel()
+        kept = np.flatnonzero(value)
+        column, rest = np.divmod(kept, span ** dim * dim)
+        offset, i = np.divmod(rest, dim)
+        node, k = np.divmod(column, dim)
+        stride = np.cumprod([1, *self.force_stencil.shape[:0:-1]])[::-1]
+        step = (np.indices((span,) * dim).reshape(dim, -1) - reach).T @ stride
+        row, column = number[i, node + step[offset]], number[k, node]
+        wanted = (row >= 0) & (column >= 0)
+        count = np.bincount(column[wanted], minlength=size)
+        return csc_array((value[kept[wanted]], row[wanted].astype(np.int32),
+                          np.concatenate([[0], np.cumsum(count)]).astype(np.int32)), shape=(size, size))
+
+
+INTEGRATIONS = {"points": PointIntegration}

@@ -1,0 +1,180 @@
+"""Which nodes carry a body in a step, which are solved for, and which follow their neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+from scipy.sparse import coo_array, csr_array, eye_array, vstack
+
+from .basis import Method, ParticleBasis
+from .grid import Edges, Grid, Stencil, available_sides
+from .integration import nodal_sum
+from .particles import Particles
+
+CUTOFF = 1e-8    # a node is active if its lumped mass exceeds this share of the largest
+
+
+class Support:
+    """What a step of a solver knows of its grid; made at its start and kept through its Newton passes.
+
+    Attributes
+    ----------
+    grid
+        The part of the mesh around the body.  Nodes are numbered along its axes, the last one fastest.
+    index
+        ``(dim, n)``; host cell of each point.
+    sides
+        Which neighbours patches may reach into, see :func:`skfem_mpm.grid.available_sides`.
+    solved
+        ``(nnodes,)``; nodes that are unknown or fixed.
+    number
+        ``(dim, nnodes)``; place of each component among the unknowns of all solved and slaved nodes, -1 for none.
+    transfer
+        Sparse; from the components of solved nodes to those of solved and slaved ones.
+    free
+        Mask over the columns of ``transfer``: not fixed.
+    """
+
+    def __init__(self, mesh: Any, particles: Particles, method: Method, edges: Edges, boundary: Sequence[Any]):
+        full = Grid.from_mesh(mesh)
+        self.method, self.edges, self.particles = method, edges, particles
+        self.grid = full.window(full.locate(particles.x))
+        self.index = self.grid.locate(particles.x)
+        self.occupied = self.grid.occupied(self.index)
+        planes = [plane for plane in boundary if hasattr(plane, "fixes")]
+        self.fixed = np.any([plane.fixes(self.grid) for plane in planes] or [np.zeros((full.dim, self.grid.nnodes))], axis=0)
+        behind = np.any([plane.behind(self.grid) for plane in planes] or [np.zeros(self.grid.nnodes)], axis=0)
+
+        self._stencils: dict[type, Stencil] = {}
+        self.mapping = self.stencil(method.mass)
+        self.mass = nodal_sum(self.mapping, particles.mass)
+        active = (self.mass > CUTOFF * self.mass.max()) & ~behind
+        self.sides = available_sides(self.occupied, active.reshape(self.grid.vertices.shape))
+        reached = self._touched(self.stencil(method.strain))
+        self.solved = active & reached
+        self._slave(reached | self._touched(self.stencil(method.force)) | self._touched(self.mapping))
+
+    def stencil(self, basis: type[ParticleBasis], x: ndarray | None = None, length: ndarray | None = None) -> Stencil:
+        """Stencil of a basis for the points, or for other positions in the body.
+
+        The basis that maps mass sees the whole grid; any other one reads solved nodes only, so it keeps to available
+        neighbours.
+        """
+        if x is None:
+            if basis not in self._stencils:
+                self._stencils[basis] = self._make(basis, self.particles.x, self.index, self.particles.length)
+            return self._stencils[basis]
+        return self._make(basis, x, self.grid.locate(x), length)
+
+    def _make(self, basis: type[ParticleBasis], x: ndarray, index: ndarray, length: ndarray | None) -> Stencil:
+        sides = None if basis is self.method.mass else self.sides
+        return basis.stencil_of(self.grid, x, index, length, self.edges, sides)
+
+    def _touched(self, stencil: Stencil) -> ndarray:
+        nodes, felt = stencil.nodes(), stencil.value() != 0
+        return np.bincount(nodes[felt], minlength=self.grid.nnodes) > 0
+
+    # -- slaved nodes ------------------------------------------------------------------------------------------------
+
+    def _slave(self, touched: ndarray) -> None:
+        """Number the unknowns; nodes that points touch but nothing holds extrapolate the body, u_g = 2 u_0 - u_1."""
+        follow = _extrapolation(self.grid.vertices.shape, self.solved, touched & ~self.solved)
+        known = self.solved.copy()
+        known[np.unique(follow.coords[0])] = True
+        dim, nodes = self.grid.dim, np.flatnonzero(known)
+        self.number = np.full((dim, self.grid.nnodes), -1)
+        self.number[:, nodes] = np.arange(dim * len(nodes)).reshape(len(nodes), dim).T
+        self.known = known
+        self.solved_nodes = np.flatnonzero(self.solved)
+        scalar = (csr_array(eye_array(self.grid.nnodes)) * self.solved[:, None] + follow).tocsr()
+        scalar = scalar[nodes][:, self.solved_nodes]
+        self.slaved = len(nodes) > len(self.solved_nodes)
+        self.transfer = _per_component(scalar, dim)
+        self.free = ~self.fixed[:, self.solved_nodes].T.ravel()
+
+    def spread(self, unknowns: ndarray) -> ndarray:
+        """Nodal vectors ``(dim, nnodes)`` from the components of the solved nodes; nodes out of play stay zero."""
+        out = np.zeros(self.number.shape)
+        out[:, self.known] = (self.transfer @ unknowns).reshape(-1, len(out)).T
+        return out
+
+    def gather(self, nodal: ndarray) -> ndarray:
+        """Forces ``(dim, nnodes)`` on the components of the solved nodes; slaved nodes hand theirs on."""
+        return self.transfer.T @ nodal[:, self.known].T.ravel()
+
+    def row(self, nodes: ndarray, value: ndarray, component: int) -> csr_array:
+        """A constraint row over the components of the solved nodes."""
+        columns = self.number[component, nodes]
+        full = coo_array((value, (np.zeros_like(columns), columns)), shape=(1, self.transfer.shape[0]))
+        return csr_array(full @ self.transfer)
+
+    def holds(self, cell: ndarray) -> ndarray:
+        """Which cells ``(dim, n)`` have only solved or slaved nodes."""
+        corners = np.indices((2,) * self.grid.dim).reshape(self.grid.dim, -1)
+        nodes = np.ravel_multi_index(tuple(cell[:, None] + corners[:, :, None]), self.grid.vertices.shape)
+        return self.known[nodes].all(axis=0)
+
+    def sound_cells(self) -> ndarray:
+        """All cells whose nodes are solved or slaved, ``(dim, ncells)``."""
+        cells = np.indices(self.grid.cells.shape).reshape(self.grid.dim, -1)
+        return cells[:, self.holds(cells)]
+
+
+def _extrapolation(shape: tuple[int, ...], solved: ndarray, wanted: ndarray) -> coo_array:
+    """Rows that express ``wanted`` nodes by solved ones: the mean over the axes of 2 u_0 - u_1, face nodes first."""
+    size = solved.size
+    rows = coo_array((size, size))
+    if not wanted.any():
+        return rows
+    known, left = solved.copy(), wanted.copy()
+    matrix = csr_array(eye_array(size)) * solved[:, None]
+    while left.any():
+        near, far = _neighbour_pairs(shape, np.flatnonzero(left))
+        usable = (near >= 0) & (far >= 0)
+        usable &= known[near] & known[far]
+        count = usable.sum(axis=0)
+        if not count.any():
+            break
+        nodes = np.flatnonzero(left)
+        pick = np.nonzero(usable)
+        share = 1 / count[pick[1]]
+        new = coo_array((np.concatenate([2 * share, -share]),
+                         (np.tile(nodes[pick[1]], 2), np.concatenate([near[pick], far[pick]]))), shape=(size, size))
+        matrix = matrix + csr_array(new) @ matrix
+        known[nodes[count > 0]] = True
+        left[nodes[count > 0]] = False
+    return coo_array(matrix * (~solved)[:, None])
+
+
+def _neighbour_pairs(shape: tuple[int, ...], nodes: ndarray) -> tuple[ndarray, ndarray]:
+    """The next and next but one node of each node in all axis directions, ``(2 dim, n)``; -1 beyond the grid."""
+    index = np.stack(np.unravel_index(nodes, shape))
+    pairs = []
+    for distance in (1, 2):
+        rows = []
+        for axis in range(len(shape)):
+            for sign in (-1, 1):
+                other = index.copy()
+                other[axis] += sign * distance
+                inside = (other[axis] >= 0) & (other[axis] < shape[axis])
+                other[axis] = np.clip(other[axis], 0, shape[axis] - 1)
+                rows.append(np.where(inside, np.ravel_multi_index(tuple(other), shape), -1))
+        pairs.append(np.stack(rows))
+    return pairs[0], pairs[1]
+
+
+def _per_component(scalar: csr_array, dim: int) -> csr_array:
+    """The same rows for each component of a vector, components inner."""
+    entries = coo_array(scalar)
+    row, column = entries.coords
+    shift = np.arange(dim)
+    return csr_array((np.repeat(entries.data, dim), ((row[:, None] * dim + shift).ravel(), (column[:, None] * dim + shift).ravel())),
+                     shape=(scalar.shape[0] * dim, scalar.shape[1] * dim))
+
+
+def stack_rows(rows: Sequence[csr_array], width: int) -> csr_array:
+    """Constraint rows as one matrix, also when there are none."""
+    return csr_array(vstack(rows)) if rows else csr_array((0, width))
