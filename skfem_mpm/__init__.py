@@ -16,8 +16,6 @@ from .kinematics import axisymmetric, plane_strain, solid, uniaxial
 from .materials import Hencky, LinearElastic
 from .particles import Particles
 
-__version__ = "0.1.0"
-
 __all__ = [
     "METHODS", "CMPMBasis", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP", "ElementQuadCMPM",
     "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "Method", "NotConvergedError", "OutsideGridError",

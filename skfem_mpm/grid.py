@@ -26,6 +26,13 @@ def chunks(n: int) -> Iterator[slice]:
     return (slice(start, min(start + CHUNK, n)) for start in range(0, n, CHUNK))
 
 
+def scatter_add(out: ndarray, index: ndarray, values: ndarray) -> None:
+    """Add ``values`` to ``out`` at ``index``, repeated entries included; touches only the range that occurs."""
+    low = index.min()
+    sums = np.bincount((index - low).ravel(), weights=values.ravel())
+    out[low:low + len(sums)] += sums
+
+
 @dataclass(frozen=True, eq=False)
 class Stencil:
     """For each point the nodes it sees, with value and slope, as one factor per axis.
@@ -69,6 +76,22 @@ class Stencil:
         """Their gradients, ``(dim, K**dim, n)``."""
         dim = len(self.shape)
         return np.stack([_outer([self.w[k, int(k == axis), :, part] for k in range(dim)]) for axis in range(dim)])
+
+    def to_nodes(self, amount: ndarray) -> ndarray:
+        """Share point amounts ``(n,)`` among the nodes by their functions, ``(nnodes,)``: lumped mass from mass."""
+        out = np.zeros(int(np.prod(self.shape)))
+        for part in chunks(self.n):
+            scatter_add(out, self.nodes(part), self.value(part) * amount[part])
+        return out
+
+    def to_points(self, nodal: ndarray) -> ndarray:
+        """Interpolate nodal vectors ``(dim, nnodes)`` to the points, ``(dim, n)``."""
+        out = np.empty((len(nodal), self.n))
+        for part in chunks(self.n):
+            nodes, value = self.nodes(part), self.value(part)
+            for i, row in enumerate(nodal):
+                out[i, part] = np.einsum("kn,kn->n", value, row[nodes])
+        return out
 
 
 def _outer(factors: Sequence[ndarray]) -> ndarray:

@@ -15,7 +15,7 @@ from skfem import Mesh
 from .basis import METHODS, Method
 from .checks import NotConvergedError, check_choice
 from .grid import EDGES, Edges
-from .integration import INTEGRATIONS, at_points
+from .integration import INTEGRATIONS
 from .kinematics import STRAINS, Response
 from .particles import Particles
 from .support import Support, stack_rows
@@ -102,7 +102,7 @@ class _Options:
 def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | State, material: Any, boundary: Sequence[Any] = (),
                    *, steps: int, method: str | Method = "mpm", strain: str = "logarithmic", scheme: str = "equilibrated",
                    weights: str = "one", integration: str = "points", edges: Edges = "ghost", tangent: str | None = None,
-                   gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, tolerance: float = 1e-9,
+                   gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, tolerance: float = 1e-10,
                    max_cuts: int = 6) -> Iterator[State]:
     """Bring a body to equilibrium load step by load step; yields a :class:`State` after each.
 
@@ -403,7 +403,7 @@ class _Step:
         if not ratio.min() > 0:
             raise _Retry("a point turned inside out")
         response = self.motion.respond(gradient)
-        particles = replace(old, x=old.x + at_points(support.mapping, u), volume=old.volume * ratio, sigma=response.sigma,
+        particles = replace(old, x=old.x + support.mapping.to_points(u), volume=old.volume * ratio, sigma=response.sigma,
                             epsilon=response.epsilon)
         displacement = np.zeros((old.dim, self.mesh.nvertices))
         displacement[:, support.grid.vertices.ravel()] = u

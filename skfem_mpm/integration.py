@@ -13,33 +13,8 @@ import numpy as np
 from numpy import ndarray
 from scipy.sparse import csc_array
 
-from .grid import Stencil, chunks
+from .grid import Stencil, chunks, scatter_add
 from .kinematics import Kinematics
-
-
-def scatter_add(out: ndarray, index: ndarray, values: ndarray) -> None:
-    """Add ``values`` to ``out`` at ``index``, repeated entries included; touches only the range that occurs."""
-    low = index.min()
-    sums = np.bincount((index - low).ravel(), weights=values.ravel())
-    out[low:low + len(sums)] += sums
-
-
-def nodal_sum(stencil: Stencil, amount: ndarray) -> ndarray:
-    """Share point amounts ``(n,)`` among the nodes by the shape functions: lumped mass from mass."""
-    out = np.zeros(int(np.prod(stencil.shape)))
-    for part in chunks(stencil.n):
-        scatter_add(out, stencil.nodes(part), stencil.value(part) * amount[part])
-    return out
-
-
-def at_points(stencil: Stencil, nodal: ndarray) -> ndarray:
-    """Interpolate nodal vectors ``(dim, nnodes)`` to the points, ``(dim, n)``."""
-    out = np.empty((len(nodal), stencil.n))
-    for part in chunks(stencil.n):
-        nodes, value = stencil.nodes(part), stencil.value(part)
-        for i, row in enumerate(nodal):
-            out[i, part] = np.einsum("kn,kn->n", value, row[nodes])
-    return out
 
 
 class PointIntegration:

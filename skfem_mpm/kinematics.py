@@ -169,7 +169,7 @@ class Logarithmic(Small):
         self.start = np.zeros_like(sigma) if epsilon is None else epsilon
         block = self.start[self.symmetric[:dim * dim]].reshape(dim, dim, -1)
         value, vector = _eigen(block)
-        self.b = _compose(np.exp(2 * value), vector)
+        self.excess = _compose(np.expm1(2 * value), vector)      # b_n less the unit tensor: keeps small strains exact
         self.dilation = np.exp(self._trace(self.start))
 
     def _trace(self, packed: ndarray) -> ndarray:
@@ -180,8 +180,8 @@ class Logarithmic(Small):
         dim, components = self.dim, self.kinematics.components
         F = _deformation(gradient, dim)
         ratio = _ratio(F, gradient, dim)
-        value, vector = _eigen(np.einsum("ikn,kln,jln->ijn", F, self.b, F, optimize=True))
-        value = np.log(value) / 2
+        value, vector = _eigen(self._excess(gradient))
+        value = np.log1p(value) / 2
         epsilon = self.start.copy()
         epsilon[self.symmetric[:dim * dim]] = _compose(value, vector).reshape(dim * dim, -1)
         if self.kinematics.hoop:
@@ -192,7 +192,7 @@ class Logarithmic(Small):
         inverse = _inverse(F)
         piola = np.empty_like(gradient)
         block = stress[self.symmetric[:dim * dim]].reshape(dim, dim, -1)
-        piola[:dim * dim] = (scale * np.einsum("ikn,jkn->ijn", block, inverse)).reshape(dim * dim, -1)
+        piola[:dim * dim] = (scale * _product(block, inverse.transpose(1, 0, 2))).reshape(dim * dim, -1)
         if self.kinematics.hoop:
             piola[-1] = scale * stress[2] / (1 + gradient[-1])
 
@@ -201,6 +201,12 @@ class Logarithmic(Small):
             return _pull_back(scale * spatial, inverse, 1 / (1 + gradient[-1]) if self.kinematics.hoop else None)
 
         return Response(piola, sigma, epsilon, ratio, tangent)
+
+    def _excess(self, gradient: ndarray) -> ndarray:
+        """The left Cauchy-Green tensor at the end of the step, less the unit tensor, ``(dim, dim, n)``."""
+        block = gradient[:self.dim ** 2].reshape(self.dim, self.dim, -1)
+        turned = block + _product(block, self.excess)
+        return self.excess + turned + turned.transpose(1, 0, 2) + _product(turned, block.transpose(1, 0, 2))
 
     def _spatial(self, epsilon: ndarray, stress: ndarray, value: ndarray, vector: ndarray) -> ndarray:
         """Change of stress with the velocity gradient :math:`dL = dF F^{-1}`, less the part that F's inverse brings."""
@@ -268,7 +274,12 @@ def _eigen(a: ndarray) -> tuple[ndarray, ndarray]:
 
 
 def _compose(value: ndarray, vector: ndarray) -> ndarray:
-    return np.einsum("an,ian,jan->ijn", value, vector, vector, optimize=True)
+    return _product(value * vector, vector.transpose(1, 0, 2))
+
+
+def _product(a: ndarray, b: ndarray) -> ndarray:
+    """Matrix product of blocks ``(d, d, n)``; faster over many points than a general one."""
+    return sum(a[:, k, None] * b[None, k] for k in range(len(a)))
 
 
 def _strain_rate(value: ndarray, vector: ndarray) -> ndarray:

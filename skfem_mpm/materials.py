@@ -36,8 +36,8 @@ class LinearElastic:
     Examples
     --------
     >>> import numpy as np
-    >>> LinearElastic(E=1.0, nu=0.25).update(np.array([[0.1]]), np.array([[0.0]]), [(0, 0)]).tolist()
-    [[0.12]]
+    >>> LinearElastic(E=1.0, nu=0.0).update(np.array([[0.5]]), np.array([[0.25]]), [(0, 0)]).tolist()
+    [[0.75]]
     """
 
     E: float

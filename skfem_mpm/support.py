@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
+from scipy.ndimage import binary_dilation
 from scipy.sparse import coo_array, csr_array, eye_array, vstack
 
 from .basis import Method, ParticleBasis
 from .grid import Edges, Grid, Stencil, available_sides
-from .integration import nodal_sum
 from .particles import Particles
 
 CUTOFF = 1e-8    # a node is active if its lumped mass exceeds this share of the largest
@@ -50,12 +51,12 @@ class Support:
 
         self._stencils: dict[type, Stencil] = {}
         self.mapping = self.stencil(method.mass)
-        self.mass = nodal_sum(self.mapping, particles.mass)
+        self.mass = self.mapping.to_nodes(particles.mass)
         active = (self.mass > CUTOFF * self.mass.max()) & ~behind
         self.sides = available_sides(self.occupied, active.reshape(self.grid.vertices.shape))
         reached = self._touched(self.stencil(method.strain))
         self.solved = active & reached
-        self._slave(reached | self._touched(self.stencil(method.force)) | self._touched(self.mapping))
+        self._slave(reached | self._touched(self.stencil(method.force)) | self._felt())
 
     def stencil(self, basis: type[ParticleBasis], x: ndarray | None = None, length: ndarray | None = None) -> Stencil:
         """Stencil of a basis for the points, or for other positions in the body.
@@ -76,6 +77,16 @@ class Support:
     def _touched(self, stencil: Stencil) -> ndarray:
         nodes, felt = stencil.nodes(), stencil.value() != 0
         return np.bincount(nodes[felt], minlength=self.grid.nnodes) > 0
+
+    def _felt(self) -> ndarray:
+        """Nodes that the mapping may read anywhere in the occupied cells: of these, and of their neighbours for domains."""
+        cells = np.pad(self.occupied, 1)
+        if self.method.mass.reads_domains:
+            cells = binary_dilation(cells, np.ones((3,) * cells.ndim))
+        nodes = np.zeros(self.grid.vertices.shape, dtype=bool)
+        for corner in itertools.product((0, 1), repeat=cells.ndim):
+            nodes |= cells[tuple(slice(c, c + size) for c, size in zip(corner, nodes.shape))]
+        return nodes.ravel()
 
     # -- slaved nodes ------------------------------------------------------------------------------------------------
 
@@ -171,8 +182,8 @@ def _per_component(scalar: csr_array, dim: int) -> csr_array:
     entries = coo_array(scalar)
     row, column = entries.coords
     shift = np.arange(dim)
-    return csr_array((np.repeat(entries.data, dim), ((row[:, None] * dim + shift).ravel(), (column[:, None] * dim + shift).ravel())),
-                     shape=(scalar.shape[0] * dim, scalar.shape[1] * dim))
+    place = (row[:, None] * dim + shift).ravel(), (column[:, None] * dim + shift).ravel()
+    return csr_array((np.repeat(entries.data, dim), place), shape=(scalar.shape[0] * dim, scalar.shape[1] * dim))
 
 
 def stack_rows(rows: Sequence[csr_array], width: int) -> csr_array:
