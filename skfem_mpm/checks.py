@@ -32,15 +32,18 @@ class UnstableError(_CarriesState):
 def check_array(name: str, value: Any, shape: tuple[int | None, ...]) -> ndarray:
     """Return ``value`` as a finite float array of the given shape (``None`` fits any length), or say what is wrong."""
     array = np.asarray(value)
-    wanted = "(" + ", ".join("n" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "") + ")"
+    sizes = ", ".join("n" if size is None else str(size) for size in shape)
+    wanted = f"({sizes},)" if len(shape) == 1 else f"({sizes})"
     if array.dtype.kind != "f":
-        raise TypeError(f"{name}: got an array of {array.dtype}, expected floats; write {name}.astype(float) if that is meant.")
+        raise TypeError(f"{name}: got an array of {array.dtype}, expected floats; write {name}.astype(float) if that "
+                        "is meant.")
     if array.ndim != len(shape) or any(want not in (None, got) for got, want in zip(array.shape, shape)):
         hint = "; transpose it: components come first, points last" if array.T.shape == shape else ""
         raise ValueError(f"{name}: got shape {array.shape}, expected {wanted}, components first and points last{hint}.")
     if not np.isfinite(array).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"{name}: got {array[index]} at index {index}, expected finite numbers; look at what made the array.")
+        raise ValueError(f"{name}: got {array[index]} at index {index}, expected finite numbers; look at what made the "
+                         "array.")
     return array.astype(float, copy=False)
 
 

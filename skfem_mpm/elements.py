@@ -73,8 +73,8 @@ class _PatchElement(ElementH1):
         """Value and gradient of function ``i`` at local points ``X``, as scikit-fem asks for them."""
         patch = self._patch
         if patch is None or patch.mesh is not mapping.mesh:
-            raise ValueError(f"{type(self).__name__}: it does not know this mesh yet; pass dofs=patch_dofs(mesh, elem) to "
-                             "the basis.")
+            raise ValueError(f"{type(self).__name__}: it does not know this mesh yet; pass "
+                             "dofs=patch_dofs(mesh, elem) to the basis.")
         cells = np.arange(patch.mesh.nelements) if tind is None else np.asarray(tind)
         x = mapping.F(X, tind)
         at = np.repeat(cells, x.shape[2])
@@ -83,7 +83,8 @@ class _PatchElement(ElementH1):
             table = self._functions(patch, k, x[k].ravel(), at)
             factors.append([rows[patch.place[k, i, at], np.arange(at.size)] for rows in table])
         value = np.prod([factor[0] for factor in factors], axis=0)
-        grad = [np.prod([factor[int(k == axis)] for k, factor in enumerate(factors)], axis=0) for axis in range(self.dim)]
+        grad = [np.prod([factor[int(k == axis)] for k, factor in enumerate(factors)], axis=0)
+                for axis in range(self.dim)]
         return (DiscreteField(value.reshape(x.shape[1:]), np.stack(grad).reshape(x.shape)),)
 
     def _functions(self, patch: _Patch, k: int, x: ndarray, at: ndarray) -> tuple[ndarray, ndarray]:
@@ -91,50 +92,40 @@ class _PatchElement(ElementH1):
 
 
 class _CMPM(_PatchElement):
-    """CMPM: cubic through a cell's nodes and those of both neighbours, quadratic or linear where they are missing.
-
-    Eqs. (7) and (8) of Gonzalez Acosta et al. (2017), as :func:`skfem_mpm.shapes.cmpm`; a product of them in 2-D and 3-D.
-
-    Examples
-    --------
-    >>> from skfem import CellBasis, MeshQuad
-    >>> mesh, elem = MeshQuad().refined(2), ElementQuadCMPM()
-    >>> basis = CellBasis(mesh, elem, dofs=patch_dofs(mesh, elem))
-    >>> x = basis.doflocs
-    >>> gradient = basis.interpolate(x[0] ** 2 * x[1]).grad
-    >>> bool(abs(gradient[0] - 2 * basis.global_coordinates()[0] * basis.global_coordinates()[1]).max() < 1e-13)
-    True
-    """
+    """The CMPM elements, see :class:`ElementQuadCMPM`."""
 
     def _functions(self, patch: _Patch, k: int, x: ndarray, at: ndarray) -> tuple[ndarray, ndarray]:
         return shapes.cmpm(x, patch.grid.knots(k, patch.cell[k, at]), patch.sides[0, k, at], patch.sides[1, k, at])
 
 
 class _GIMP(_PatchElement):
-    """GIMP: the mean of the linear functions over a domain around each point.
-
-    Eq. (6) of Gonzalez Acosta et al. (2017) as :func:`skfem_mpm.shapes.gimp`.  At the edge of the mesh nodes that do not
-    exist are dropped, and the functions no longer sum to one.  With ``occupied`` cells given to :func:`patch_dofs`,
-    domains are clipped to these instead.
-
-    Parameters
-    ----------
-    length
-        Edges of the domain along each axis; half a cell, as in the paper, if not given.
-
-    Examples
-    --------
-    >>> from skfem import CellBasis, MeshLine
-    >>> mesh, elem = MeshLine().refined(2), ElementLineGIMP()
-    >>> basis = CellBasis(mesh, elem, dofs=patch_dofs(mesh, elem), quadrature=(np.array([[0.0]]), np.ones(1)))
-    >>> sorted(float(f[0][1, 0]) for f in basis.basis)
-    [0.0, 0.0625, 0.0625, 0.875]
-    """
+    """The GIMP elements, see :class:`ElementQuadGIMP`."""
 
     def __init__(self, length: Any = None):
         if length is not None and not (np.size(length) == self.dim and np.all(np.asarray(length) > 0)):
             raise ValueError(f"length: got {length}, expected {self.dim} edge length(s) above zero, one per axis.")
         self.length = None if length is None else np.reshape(np.asarray(length, dtype=float), -1)
+
+    def bind(self, mesh: Mesh, occupied: Any = None) -> _Patch:
+        """Learn which cells of ``mesh`` are occupied, and refuse domains that reach beyond a cell's neighbours."""
+        patch = _Patch(mesh, occupied)
+        for k, width in enumerate(patch.grid.steps):
+            self._check_reach(k, width)
+        self._patch = patch
+        return patch
+
+    def _check_reach(self, k: int, width: ndarray) -> None:
+        slack = 1 + 1e-9    # widths of equal cells differ by rounding
+        if self.length is None:
+            ratio = max((width[1:] / width[:-1]).max(initial=1), (width[:-1] / width[1:]).max(initial=1))
+            if ratio > 4 * slack:
+                raise ValueError(f"mesh: got neighbours along axis {k} of which one is {ratio:g} times as wide as the "
+                                 "other, expected at most 4 for domains of half a cell; give a length or grade the "
+                                 "mesh less.")
+        elif self.length[k] > 2 * width.min() * slack:
+            raise ValueError(f"length: got {self.length[k]:g} along axis {k}, expected at most {2 * width.min():g}, "
+                             "twice the narrowest cell, for a domain must not reach beyond the neighbours of its cell; "
+                             "use a smaller length or wider cells.")
 
     def _functions(self, patch: _Patch, k: int, x: ndarray, at: ndarray) -> tuple[ndarray, ndarray]:
         knots = patch.grid.knots(k, patch.cell[k, at])
@@ -147,32 +138,78 @@ class _GIMP(_PatchElement):
 
 
 class ElementLineCMPM(_CMPM):
-    __doc__ = _CMPM.__doc__
+    """CMPM on lines; see :class:`ElementQuadCMPM`."""
+
     refdom = RefLine
 
 
 class ElementQuadCMPM(_CMPM):
-    __doc__ = _CMPM.__doc__
+    """CMPM on quads: cubic through the nodes of a cell and its neighbours, of lower order where these are missing.
+
+    Along each axis Eq. (8) of Gonzalez Acosta et al. (2017) with both neighbours, its quadratic Eq. (7) with one, and
+    linear functions without, as :func:`skfem_mpm.shapes.cmpm`; the functions of a cell are products of these.
+
+    Examples
+    --------
+    >>> from skfem import CellBasis, MeshQuad
+    >>> mesh, elem = MeshQuad().refined(2), ElementQuadCMPM()
+    >>> basis = CellBasis(mesh, elem, dofs=patch_dofs(mesh, elem))
+    >>> x = basis.doflocs
+    >>> gradient = basis.interpolate(x[0] ** 2 * x[1]).grad
+    >>> bool(abs(gradient[0] - 2 * basis.global_coordinates()[0] * basis.global_coordinates()[1]).max() < 1e-13)
+    True
+    """
+
     refdom = RefQuad
 
 
 class ElementHexCMPM(_CMPM):
-    __doc__ = _CMPM.__doc__
+    """CMPM on hexes; see :class:`ElementQuadCMPM`."""
+
     refdom = RefHex
 
 
 class ElementLineGIMP(_GIMP):
-    __doc__ = _GIMP.__doc__
+    """GIMP on lines; see :class:`ElementQuadGIMP`."""
+
     refdom = RefLine
 
 
 class ElementQuadGIMP(_GIMP):
-    __doc__ = _GIMP.__doc__
+    """GIMP on quads: the mean of the linear functions over a domain around each point.
+
+    Eq. (6) of Gonzalez Acosta et al. (2017) as :func:`skfem_mpm.shapes.gimp`, along each axis.  At the edge of the mesh
+    nodes that do not exist are dropped, and the functions no longer sum to one.  With ``occupied`` cells given to
+    :func:`patch_dofs`, domains are clipped to these instead.
+
+    Parameters
+    ----------
+    length
+        Edges of the domain along each axis; half a cell, as in the paper, if not given.  A domain must not reach beyond
+        the neighbours of its cell: :func:`patch_dofs` refuses one longer than two of the narrowest cells.
+
+    Raises
+    ------
+    ValueError
+        If ``length`` is not one number above zero for each axis.
+
+    Examples
+    --------
+    Half of the domain is in each of the two cells that meet at a node, so the mean of its function there is 7/8:
+
+    >>> from skfem import CellBasis, MeshQuad
+    >>> mesh, elem = MeshQuad().refined(2), ElementQuadGIMP()
+    >>> basis = CellBasis(mesh, elem, dofs=patch_dofs(mesh, elem), quadrature=(np.zeros((2, 1)), np.ones(1)))
+    >>> float(max(f[0][0, 0] for f in basis.basis)) == (7 / 8) ** 2
+    True
+    """
+
     refdom = RefQuad
 
 
 class ElementHexGIMP(_GIMP):
-    __doc__ = _GIMP.__doc__
+    """GIMP on hexes; see :class:`ElementQuadGIMP`."""
+
     refdom = RefHex
 
 
@@ -205,11 +242,13 @@ def patch_dofs(mesh: Mesh, elem: Element, occupied: Any = None) -> Dofs:
     Raises
     ------
     ValueError
-        If the element is of another kind or the mesh is not axis-aligned.
+        If the element is of another kind, the mesh is not axis-aligned, or a domain of GIMP could reach beyond the
+        neighbours of its cell.
     """
     leaf = elem.elem if isinstance(elem, ElementVector) else elem
     if not isinstance(leaf, _PatchElement):
-        raise ValueError(f"elem: got {type(leaf).__name__}, expected a GIMP or CMPM element or an ElementVector of one.")
+        raise ValueError(f"elem: got {type(leaf).__name__}, expected a GIMP or CMPM element or an ElementVector of "
+                         "one.")
     if mesh.refdom is not leaf.refdom:
         raise ValueError(f"elem: got {type(leaf).__name__} for a {type(mesh).__name__}; take the one for that cell.")
     return _PatchDofs(mesh, elem, leaf.bind(mesh, occupied))

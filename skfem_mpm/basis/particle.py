@@ -1,12 +1,14 @@
-"""Points as a scikit-fem basis: each point is an element with one quadrature point.
+"""Points seen through finite element functions, and what scikit-fem's forms read of any basis on points.
 
-All that is taken from scikit-fem's inside (which attributes a form reads of a basis) stands in this module.
+This rests on scikit-fem's inside: forms read ``mesh``, ``elem``, ``dofs``, ``nelems``, ``Nbfun``, ``element_dofs``,
+``basis``, ``X``, ``W``, ``dx`` and ``default_parameters()`` of a basis, and the methods of ``CellBasis`` also
+``mapping``, ``tind`` and ``doflocs``.  Here each is set by hand or made when first asked for, so ``CellBasis.__init__``
+is never called.
 """
 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -16,11 +18,12 @@ from skfem import CellBasis, Dofs, ElementHex1, ElementLineP1, ElementQuad1, Mes
 from skfem.element import DiscreteField, Element, ElementComposite, ElementVector
 from skfem.mapping import MappingAffine, MappingIsoparametric
 
-from .checks import check_array, check_choice
-from .grid import EDGES, Edges, Grid, Stencil, available_sides
-from .locator import CellLocator, local_coordinates
-from .particles import Particles
-from .weights import weights
+from ..checks import check_array
+from ..grid import Edges, Grid, Stencil
+from ..locator import CellLocator, local_coordinates
+from ..particles import Particles
+from ..weights import weights
+from .points import LocalPoints
 
 LINEAR = (ElementLineP1, ElementQuad1, ElementHex1)
 
@@ -68,7 +71,8 @@ class ParticleBasis(CellBasis):
     def __init__(self, mesh: Mesh, elem: Element, particles: Particles, cells: ndarray | None = None,
                  dofs: Dofs | None = None):
         if mesh.refdom is not elem.refdom:
-            raise ValueError(f"elem: got {type(elem).__name__} for a {type(mesh).__name__}, expected an element of that cell.")
+            raise ValueError(f"elem: got {type(elem).__name__} for a {type(mesh).__name__}, expected an element of "
+                             "that cell.")
         if particles.dim != mesh.dim():
             raise ValueError(f"particles: got points in {particles.dim} dimension(s) for a mesh in {mesh.dim()}; "
                              "make both of the same dimension.")
@@ -82,7 +86,7 @@ class ParticleBasis(CellBasis):
 
     def _place(self, cells: ndarray | None) -> tuple[ndarray, Stencil | None]:
         """Host cells, and the stencil where there is one."""
-        if not _is_linear(self.elem) or not _is_grid(self.mesh):
+        if not is_linear(self.elem) or not _is_grid(self.mesh):
             found, self._local = CellLocator(self.mesh).find(self.particles.x, start=cells)
             return found, None
         return self._place_on_grid()
@@ -126,7 +130,8 @@ class ParticleBasis(CellBasis):
     def basis(self) -> list[tuple[DiscreteField, ...]]:
         """The basis functions at the points, one field each (made when first asked for)."""
         if self.stencil is None:
-            return [self.elem.gbasis(self.mapping, self._local[:, :, None], i, tind=self.tind) for i in range(self.Nbfun)]
+            local = self._local[:, :, None]
+            return [self.elem.gbasis(self.mapping, local, i, tind=self.tind) for i in range(self.Nbfun)]
         value, gradient = self.value[..., None], self.gradient[..., None]
         return [fields for k in range(len(value)) for fields in _nodal_fields(self.elem, value[k], gradient[:, k])]
 
@@ -146,7 +151,7 @@ class ParticleBasis(CellBasis):
     def X(self) -> ndarray:
         """Local coordinates of the points in their cells, ``(dim, n, 1)``."""
         local = self._local if self.stencil is None else local_coordinates(self.mesh, self.tind, self.particles.x)
-        return _LocalPoints.of(local[:, :, None], self.particles.x)
+        return LocalPoints.of(local[:, :, None], self.particles.x)
 
     @cached_property
     def mapping(self) -> Any:
@@ -210,7 +215,8 @@ class ParticleBasis(CellBasis):
             If the name is unknown, the mesh is not axis-aligned, or domains are needed and missing.
         """
         grid, points = Grid.from_mesh(self.mesh), self.particles
-        factor = weights(name, grid, grid.locate(points.x), points.x, points.volume, points.kinematics.hoop, points.length)
+        factor = weights(name, grid, grid.locate(points.x), points.x, points.volume, points.kinematics.hoop,
+                         points.length)
         other = copy.copy(self)
         other.dx = (factor * points.volume)[:, None]
         return other
@@ -249,7 +255,8 @@ class ParticleBasis(CellBasis):
             If ``elements`` is given: choose points with :meth:`with_elements` instead.
         """
         if elements is not None:
-            raise ValueError("elements: got a choice of cells, but a point basis has points; use with_elements(points).")
+            raise ValueError("elements: got a choice of cells, but a point basis has points; use "
+                             "with_elements(points).")
         mass, rhs = self._projection(interp, dtype=dtype)
         return solve(*condense(mass, rhs, I=np.flatnonzero(mass.diagonal() > 1e-12 * mass.diagonal().max())))
 
@@ -270,212 +277,14 @@ class ParticleBasis(CellBasis):
                 f"  Number of points: {self.nelems}\n  Number of DOFs: {self.N}\n  Functions per point: {self.Nbfun}")
 
 
-class _OnGrid(ParticleBasis):
-    """A basis that exists on axis-aligned grids with linear elements only."""
-
-    def _place(self, cells: ndarray | None) -> tuple[ndarray, Stencil | None]:
-        if not _is_linear(self.elem):
-            raise ValueError(f"elem: got {type(self.elem).__name__}, expected ElementLineP1, ElementQuad1 or ElementHex1, "
-                             f"or a vector or composite of it, for {type(self).__name__}.")
-        return self._place_on_grid()
-
-
-class GIMPBasis(_OnGrid):
-    """Points of finite size: functions averaged over a domain, Eq. (6) of Gonzalez Acosta et al. (2017).
-
-    Parameters
-    ----------
-    mesh
-        An axis-aligned line, quad or hex mesh; cells may have different widths.
-    elem
-        The linear element, or a vector or composite of it.
-    particles
-        Need a ``length (dim, n)``, the edges of their domains.
-    edges
-        What happens at the edge of the grid: ``ghost`` wants a spare layer of cells, ``truncate`` drops the nodes that do
-        not exist as the paper did (functions then no longer sum to one), ``clip`` cuts domains off and renormalises.
-
-    Raises
-    ------
-    OutsideGridError
-        If a point has left the grid, or a domain has and ``edges`` is ``ghost``.
-    ValueError
-        If the mesh is not axis-aligned, the element not linear, a length is missing, or a domain reaches beyond the
-        neighbours of its cell.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from skfem import ElementLineP1, MeshLine
-    >>> from skfem_mpm import Particles, uniaxial
-    >>> points = Particles(np.array([[0.5]]), np.array([0.1]), np.array([1.0]), uniaxial, length=np.array([[0.1]]))
-    >>> GIMPBasis(MeshLine().refined(2), ElementLineP1(), points).value.T.tolist()
-    [[0.05, 0.9, 0.05]]
-    """
-
-    reads_domains = True
-
-    def __init__(self, mesh: Mesh, elem: Element, particles: Particles, edges: Edges = "ghost", dofs: Dofs | None = None):
-        check_choice("edges", edges, EDGES)
-        self.edges = edges
-        super().__init__(mesh, elem, particles, dofs=dofs)
-
-    def _place_on_grid(self) -> tuple[ndarray, Stencil]:
-        grid, x = Grid.from_mesh(self.mesh), self.particles.x
-        index = grid.locate(x)
-        return grid.cells[tuple(index)], self.stencil_of(grid, x, index, self.particles.length, self.edges)
-
-    @classmethod
-    def stencil_of(cls, grid: Grid, x: ndarray, index: ndarray, length: ndarray | None = None, edges: Edges = "ghost",
-                   sides: ndarray | None = None) -> Stencil:
-        """Stencil of GIMP; ``sides`` clips the domains to available cells."""
-        if length is None:
-            raise ValueError("length: the points have none, but GIMP averages over domains; give Particles a length (dim, n).")
-        return grid.gimp(x, index, length, edges, sides)
-
-    def _options(self) -> dict[str, Any]:
-        return {"edges": self.edges}
-
-
-class CMPMBasis(_OnGrid):
-    """Points that recover fields through the nodes of their cell and its neighbours: CMPM, Eqs. (7) and (8).
-
-    Its functions take negative values: use them for strains, never for mass.
-
-    Parameters
-    ----------
-    mesh
-        An axis-aligned line, quad or hex mesh; cells may have different widths.
-    elem
-        The linear element, or a vector or composite of it.
-    particles
-        The points.
-    occupied
-        Cells that hold material, anything that ``mesh.normalize_elements`` takes; the cells of the points if not given.
-        Patches reach into occupied neighbours only, for values elsewhere mean nothing.
-
-    Raises
-    ------
-    OutsideGridError
-        If a point has left the grid.
-    ValueError
-        If the mesh is not axis-aligned or the element not linear.
-
-    Examples
-    --------
-    >>> from skfem import ElementLineP1, MeshLine
-    >>> from skfem_mpm import Particles, uniaxial
-    >>> mesh = MeshLine().refined(3)
-    >>> basis = CMPMBasis(mesh, ElementLineP1(), Particles.fill(mesh, uniaxial))
-    >>> x = basis.global_coordinates()
-    >>> bool(abs(basis.interpolate(mesh.p[0] ** 2).grad[0] - 2 * x[0]).max() < 1e-13)
-    True
-    """
-
-    def __init__(self, mesh: Mesh, elem: Element, particles: Particles, occupied: Any = None, dofs: Dofs | None = None):
-        self.occupied = occupied
-        super().__init__(mesh, elem, particles, dofs=dofs)
-
-    def _place_on_grid(self) -> tuple[ndarray, Stencil]:
-        grid, x = Grid.from_mesh(self.mesh), self.particles.x
-        index = grid.locate(x)
-        cells = grid.cells[tuple(index)]
-        if self.occupied is None:
-            self.occupied = np.unique(cells)
-        mask = np.isin(grid.cells, self.mesh.normalize_elements(self.occupied))
-        return cells, self.stencil_of(grid, x, index, sides=available_sides(mask))
-
-    @classmethod
-    def stencil_of(cls, grid: Grid, x: ndarray, index: ndarray, length: ndarray | None = None, edges: Edges = "ghost",
-                   sides: ndarray | None = None) -> Stencil:
-        """Stencil of CMPM; ``sides`` tells which neighbours its patches reach into (by occupied cells if not given)."""
-        return grid.cmpm(x, index, available_sides(grid.occupied(index)) if sides is None else sides)
-
-    def _options(self) -> dict[str, Any]:
-        return {"occupied": self.occupied}
-
-
-@dataclass(frozen=True)
-class Method:
-    """A method is data: which basis maps mass and motion, which recovers strain, which carries internal force.
-
-    Examples
-    --------
-    >>> from skfem_mpm import METHODS
-    >>> METHODS["cmpm"] == Method(mass=ParticleBasis, strain=CMPMBasis, force=ParticleBasis)
-    True
-    """
-
-    mass: type[ParticleBasis]
-    strain: type[ParticleBasis]
-    force: type[ParticleBasis]
-
-    def __post_init__(self) -> None:
-        if self.mass is CMPMBasis:
-            raise ValueError("mass: got CMPMBasis, whose functions take negative values; map mass with ParticleBasis or "
-                             "GIMPBasis.")
-
-
-METHODS = {
-    "mpm": Method(ParticleBasis, ParticleBasis, ParticleBasis),
-    "gimp": Method(GIMPBasis, GIMPBasis, GIMPBasis),
-    "cmpm": Method(ParticleBasis, CMPMBasis, ParticleBasis),
-    "fe-gimp": Method(ParticleBasis, GIMPBasis, ParticleBasis),
-    "gc": Method(GIMPBasis, CMPMBasis, GIMPBasis),
-    "cmpm-c": Method(ParticleBasis, CMPMBasis, CMPMBasis),
-}
-
-
-class _LocalPoints(ndarray):
-    """Local coordinates that know their points.
-
-    Before it assembles, scikit-fem compares ``X.shape[-1]`` of the two bases of a form: the place to see that both look
-    at the same points, without which a form would be silently wrong.
-    """
-
-    points: ndarray
-
-    @classmethod
-    def of(cls, local: ndarray, points: ndarray) -> _LocalPoints:
-        view = np.ascontiguousarray(local).view(cls)
-        view.points = points
-        return view
-
-    @property
-    def shape(self) -> Any:
-        """Shape, the last entry of which compares points."""
-        shape = super().shape
-        return shape[:-1] + (_PointCount(shape[-1]).of(self.points),) if hasattr(self, "points") else shape
-
-
-class _PointCount(int):
-    points: ndarray
-
-    def of(self, points: ndarray) -> _PointCount:
-        self.points = points
-        return self
-
-    def __ne__(self, other: object) -> bool:
-        if isinstance(other, _PointCount) and self.points is not other.points:
-            if self.points.shape != other.points.shape or (self.points != other.points).any():
-                raise ValueError(f"bases: got one with {self.points.shape[1]} and one with {other.points.shape[1]} points at "
-                                 "different positions in one form, expected the same points; make both bases from one "
-                                 "Particles object.")
-        return int.__ne__(self, other)
-
-    def __eq__(self, other: object) -> bool:
-        return not self != other
-
-    __hash__ = int.__hash__
-
-
 def _leaves(elem: Element) -> list[Element]:
     if isinstance(elem, ElementComposite):
         return [leaf for part in elem.elems for leaf in _leaves(part)]
     return _leaves(elem.elem) if isinstance(elem, ElementVector) else [elem]
 
 
-def _is_linear(elem: Element) -> bool:
+def is_linear(elem: Element) -> bool:
+    """Whether an element, or every part of a vector or composite one, has the linear functions of a grid."""
     return all(type(leaf) in LINEAR for leaf in _leaves(elem))
 
 
@@ -494,7 +303,8 @@ def _nodal_fields(elem: Element, value: ndarray, gradient: ndarray) -> list[tupl
         empty = [fields[0][0].zeros() for fields in parts]
         return [tuple(empty[:k]) + field + tuple(empty[k + 1:]) for k, fields in enumerate(parts) for field in fields]
     if isinstance(elem, ElementVector):
-        return [(DiscreteField(_component(value, i, elem.dim), _component(gradient, i, elem.dim)),) for i in range(elem.dim)]
+        return [(DiscreteField(_component(value, i, elem.dim), _component(gradient, i, elem.dim)),)
+                for i in range(elem.dim)]
     return [(DiscreteField(value, gradient),)]
 
 
@@ -502,5 +312,3 @@ def _component(array: ndarray, i: int, dim: int) -> ndarray:
     full = np.zeros((dim,) + array.shape)
     full[i] = array
     return full
-
-
