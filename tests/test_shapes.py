@@ -65,8 +65,7 @@ def test_gimp_of_any_domain_is_the_closed_form(l, scale, origin):
     value, slope = shapes.gimp(x, half, knots_for(X, scale, origin))
     rounding = 1e-14 + 4 * np.spacing(abs(origin)) / scale / l
     assert_allclose(value, printed.gimp(X - UNIT, l), rtol=0, atol=rounding)
-    smooth = np.abs(np.abs(X - UNIT) - 0.5).max(axis=0) < 3       # every place: the slope is continuous
-    assert_allclose(slope[:, smooth] * scale, printed.gimp_slope(X - UNIT, l)[:, smooth], rtol=0, atol=rounding / l)
+    assert_allclose(slope * scale, printed.gimp_slope(X - UNIT, l), rtol=0, atol=rounding / l)
 
 
 @pytest.mark.parametrize("sides", PRINTED)
