@@ -1,9 +1,9 @@
 """How wrong is the stress around an expanding cavity, and which method, weights and scheme make it less wrong?
 
-Section 3 of Gonzalez Acosta, Vardon and Hicks (2017): the inner wall of a thick cylinder is pushed outwards in 50 steps of
-1.5 cm.  Every method runs with every choice of integration weights, twice: in equilibrium at the end of each step
-(`equilibrated`, against a finite-deformation solution) and without ever feeding stress back (`incremental`, against Lame's
-increments added up on the moving geometry).  Writes, under results/cylinder/ or --out,
+Section 3 of Gonzalez Acosta, Vardon and Hicks (2017): the inner wall of a thick cylinder is pushed outwards in 50 steps
+of 1.5 cm.  Every method runs with every choice of integration weights, twice: in equilibrium at the end of each step
+(`equilibrated`, against a finite-deformation solution) and without ever feeding stress back (`incremental`, against
+Lame's increments added up on the moving geometry).  Writes, under results/cylinder/ or --out,
 
   fig4.png, fig4.csv                        radial stress after one step, recovered continuously in r
   fig5.png, fig5.csv                        q of one point over all steps, equilibrated
@@ -56,7 +56,8 @@ def write(name, rows):
 
 scene = cylinder()
 law, h = scene.material, scene.particles.length[0, 0] * 2
-r = (np.arange(20)[:, None] + np.linspace(1e-6, 1 - 1e-6, 41)).ravel() * h + scene.inner    # both sides of every grid line
+inside = np.linspace(1e-6, 1 - 1e-6, 41)    # both sides of every grid line
+r = (np.arange(20)[:, None] + inside).ravel() * h + scene.inner
 exact = lame(r, law.E, law.nu, scene.inner, scene.outer, scene.increment)[1][0]
 middle = (r > scene.inner + h) & (r < scene.outer - h)
 line = np.stack([r, np.full_like(r, scene.particles.x[1, 0])])
@@ -109,7 +110,8 @@ for scheme, name in [("equilibrated", "fig5"), ("incremental", "fig5_incremental
                                 sharey=True, layout="constrained")
     for axis, weights in zip(axes.flat, choices):
         for method in METHODS:
-            axis.plot(count, np.array(curves[scheme][f"{method}[{weights}]"]) / 1e6, color=COLOURS[method], label=method)
+            curve = np.array(curves[scheme][f"{method}[{weights}]"])
+            axis.plot(count, curve / 1e6, color=COLOURS[method], label=method)
         axis.plot(count, reference / 1e6, "k--", label=f"reference ({source})")
         axis.set_title(TITLES[weights])
         axis.grid(alpha=0.3)
@@ -122,8 +124,9 @@ for scheme, name in [("equilibrated", "fig5"), ("incremental", "fig5_incremental
 # -- the answer --------------------------------------------------------------------------------------------------------
 
 print("\nRadial stress after one step, interior, % of its largest value: largest error (rms)")
-print("   ".join(f"{method} {100 * single[method][middle].max():.2f} ({100 * np.sqrt((single[method][middle] ** 2).mean()):.2f})"
-                 for method in METHODS))
+interior = {method: 100 * single[method][middle] for method in METHODS}
+print("   ".join(f"{method} {error.max():.2f} ({np.sqrt((error ** 2).mean()):.2f})"
+                 for method, error in interior.items()))
 print(f"\nDeviatoric stress after {steps} steps, % of its largest value: followed point / rms of all points")
 print(f"{'scheme':14}{'weights':10}" + "".join(f"{method:>14}" for method in METHODS))
 for scheme in STRAIN:
@@ -135,5 +138,6 @@ for scheme in STRAIN:
 best = min((row for row in errors if row["scheme"] == "equilibrated" and row["status"] == "finished"),
            key=lambda row: row["error_all"])
 worst = next(row for row in errors if row["scheme"] == "equilibrated" and row["method"] == "mpm")
-print(f"\nIn equilibrium plain mpm is wrong by {100 * worst['error_all']:.1f} % (rms); the best choice here, {best['method']} "
-      f"with weights '{best['weights']}', by {100 * best['error_all']:.2f} %.\nPictures and tables are in {options.out}.")
+print(f"\nIn equilibrium plain mpm is wrong by {100 * worst['error_all']:.1f} % (rms); the best choice here, "
+      f"{best['method']} with weights '{best['weights']}', by {100 * best['error_all']:.2f} %.")
+print(f"Pictures and tables are in {options.out}.")

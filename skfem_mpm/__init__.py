@@ -19,6 +19,6 @@ from .particles import Particles
 __all__ = [
     "METHODS", "CMPMBasis", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP", "ElementQuadCMPM",
     "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "Method", "NotConvergedError", "OutsideGridError",
-    "ParticleBasis", "Particles", "UnstableError", "axisymmetric", "implicit_steps", "patch_dofs", "plane_strain", "solid",
-    "uniaxial",
+    "ParticleBasis", "Particles", "UnstableError", "axisymmetric", "implicit_steps", "patch_dofs", "plane_strain",
+    "solid", "uniaxial",
 ]

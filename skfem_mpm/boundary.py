@@ -61,8 +61,8 @@ class FixedPlane:
         distance = self.side * (axis - self.at) / np.diff(axis).min()
         distance[np.abs(distance) < 1e-9] = 0
         if axis[0] < self.at < axis[-1] and not (distance == 0).any():
-            raise ValueError(f"at: got a fixed plane {self.name!r} at {self.at}, which is no grid line of axis {self.axis}; "
-                             "move the grid so that one lies there.")
+            raise ValueError(f"at: got a fixed plane {self.name!r} at {self.at}, which is no grid line of axis "
+                             f"{self.axis}; move the grid so that one lies there.")
         shape = [1] * grid.dim
         shape[self.axis] = -1
         return np.broadcast_to(distance.reshape(shape), grid.vertices.shape).ravel()

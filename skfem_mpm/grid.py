@@ -264,15 +264,16 @@ class Grid:
             far = (low < knots[index[k]] - slack) | (high > knots[index[k] + 3] + slack)
             if far.any():
                 point = int(np.flatnonzero(far)[0])
-                raise ValueError(f"length: the domain of point {point} at {_position(x[:, point])} is {length[k, point]:g} "
-                                 f"long along axis {k} and reaches beyond the neighbours of its cell, which GIMP's four "
-                                 "nodes per axis do not allow; use smaller domains or larger cells.")
+                raise ValueError(
+                    f"length: the domain of point {point} at {_position(x[:, point])} is {length[k, point]:g} long "
+                    f"along axis {k} and reaches beyond the neighbours of its cell, which GIMP's four nodes per axis "
+                    "do not allow; use smaller domains or larger cells.")
             out = (low < self.axes[k][0] - slack) | (high > self.axes[k][-1] + slack)
             if edges == "ghost" and out.any():
                 point = int(np.flatnonzero(out)[0])
                 raise OutsideGridError(
-                    f"the domain of point {point} at {_position(x[:, point])} leaves the grid {self.extent}; give the grid "
-                    "a spare layer of cells, or choose edges='clip' or edges='truncate'.")
+                    f"the domain of point {point} at {_position(x[:, point])} leaves the grid {self.extent}; give the "
+                    "grid a spare layer of cells, or choose edges='clip' or edges='truncate'.")
 
 
 def available_sides(occupied: ndarray, active: ndarray | None = None) -> ndarray:
@@ -325,8 +326,9 @@ def _view(mesh: Mesh) -> Grid:
     number = np.ravel_multi_index(low, shape)
     if (np.prod(shape) != mesh.p.shape[1] or (high - low != 1).any()
             or len(np.unique(number)) != np.prod([size - 1 for size in shape])):
-        raise ValueError(f"mesh: got a {type(mesh).__name__} with {mesh.nelements} cells that do not make a full box of "
-                         "axis-aligned cells; use init_tensor or a refined unit mesh (empty cells cost next to nothing).")
+        raise ValueError(f"mesh: got a {type(mesh).__name__} with {mesh.nelements} cells that do not make a full box "
+                         "of axis-aligned cells; use init_tensor or a refined unit mesh (empty cells cost next to "
+                         "nothing).")
     vertices = np.empty(shape, dtype=np.int64)
     vertices[index] = np.arange(mesh.p.shape[1])
     cells = np.empty(tuple(size - 1 for size in shape), dtype=np.int64)

@@ -153,11 +153,10 @@ class Small:
 
 
 class Logarithmic(Small):
-    r"""Finite strain: the law sees the elastic logarithmic strain :math:`\frac12 \ln b` with
-    :math:`b = F^\Delta b_n F^{\Delta T}`.
+    r"""Finite strain: the law sees the elastic logarithmic strain :math:`\frac12 \ln b`.
 
-    The stress handed on is :math:`\Pi = J^\Delta \sigma F^{\Delta -T}`, so geometry stays that of the start of the step
-    and the tangent needs no further geometric term.
+    Here :math:`b = F^\Delta b_n F^{\Delta T}`.  The stress handed on is :math:`\Pi = J^\Delta \sigma F^{\Delta -T}`, so
+    geometry stays that of the start of the step and the tangent needs no further geometric term.
     """
 
     name = "logarithmic"

@@ -1,8 +1,10 @@
-r"""The three 1-D shape functions, value and slope, vectorised over points; grids of two and three dimensions multiply them.
+r"""The three 1-D shape functions, value and slope, vectorised over points.
+
+Grids of two and three dimensions multiply them.
 
 ``x (n,)`` are coordinates along one axis.  ``knots (4, n)`` are the nodes around each point: the ends of its host cell
-are ``knots[1]`` and ``knots[2]``, the far ends of the neighbour cells ``knots[0]`` and ``knots[3]``.  Masks ``left`` and
-``right`` say whether a neighbour is available; knots of missing ones may be anything but coinciding.
+are ``knots[1]`` and ``knots[2]``, the far ends of the neighbour cells ``knots[0]`` and ``knots[3]``.  Masks ``left``
+and ``right`` say whether a neighbour is available; knots of missing ones may be anything but coinciding.
 """
 
 from __future__ import annotations
@@ -35,8 +37,8 @@ def linear(x: ndarray, knots: ndarray) -> tuple[ndarray, ndarray]:
 def gimp(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True, right: Mask = True) -> tuple[ndarray, ndarray]:
     r"""GIMP: the mean of the linear functions over the domain :math:`[x-l, x+l]`, with ``half`` :math:`= l`.
 
-    For cells of equal width :math:`h` and :math:`l = h/4` this is Eq. (6) of Gonzalez Acosta et al. (2017), whose second
-    and third branch are meant for :math:`|\xi|`:
+    For cells of equal width :math:`h` and :math:`l = h/4` this is Eq. (6) of Gonzalez Acosta et al. (2017), whose
+    second and third branch are meant for :math:`|\xi|`:
 
     .. math:: S = (7-16\xi^2)/8,\quad 1-|\xi|,\quad (5-4|\xi|)^2/16 \qquad
               (|\xi| \le 1/4,\ \le 3/4,\ \le 5/4)
@@ -92,8 +94,8 @@ def cmpm(x: ndarray, knots: ndarray, left: Mask = True, right: Mask = True) -> t
     r"""CMPM: Lagrange polynomials through the host's nodes and one node of each available neighbour.
 
     Cubic with both neighbours, Eq. (8) of Gonzalez Acosta et al. (2017) where cells are equal; quadratic with one,
-    Eq. (7) and its mirror image; linear when alone.  They are built in physical coordinates: on graded grids the printed
-    local forms would not reproduce even linear fields.
+    Eq. (7) and its mirror image; linear when alone.  They are built in physical coordinates: on graded grids the
+    printed local forms would not reproduce even linear fields.
 
     Returns
     -------
@@ -109,7 +111,7 @@ def cmpm(x: ndarray, knots: ndarray, left: Mask = True, right: Mask = True) -> t
     here = np.ones(len(x), dtype=bool)
     there = [here & left, here, here, here & right]
     scale = knots[2] - knots[1]
-    t = (x - knots[1]) / scale                                        # in host widths, so products neither over- nor underflow
+    t = (x - knots[1]) / scale                                # in host widths, so products neither over- nor underflow
     nodes = (knots - knots[1]) / scale
     value, slope = np.zeros((2, 4, len(x)))
     for j in range(4):

@@ -41,18 +41,21 @@ class Support:
 
     def __init__(self, mesh: Any, particles: Particles, method: Method, edges: Edges, boundary: Sequence[Any]):
         full = Grid.from_mesh(mesh)
-        self.method, self.edges, self.particles = method, edges, particles
+        self.method = method
+        self.edges = edges
+        self.particles = particles
         self.grid = full.window(full.locate(particles.x))
         self.index = self.grid.locate(particles.x)
         self.occupied = self.grid.occupied(self.index)
         planes = [plane for plane in boundary if hasattr(plane, "fixes")]
-        self.fixed = np.any([plane.fixes(self.grid) for plane in planes] or [np.zeros((full.dim, self.grid.nnodes))], axis=0)
-        behind = np.any([plane.behind(self.grid) for plane in planes] or [np.zeros(self.grid.nnodes)], axis=0)
+        fixed = [plane.fixes(self.grid) for plane in planes] or [np.zeros((full.dim, self.grid.nnodes))]
+        behind = [plane.behind(self.grid) for plane in planes] or [np.zeros(self.grid.nnodes)]
+        self.fixed = np.any(fixed, axis=0)
 
         self._stencils: dict[type, Stencil] = {}
         self.mapping = self.stencil(method.mass)
         self.mass = self.mapping.to_nodes(particles.mass)
-        active = (self.mass > CUTOFF * self.mass.max()) & ~behind
+        active = (self.mass > CUTOFF * self.mass.max()) & ~np.any(behind, axis=0)
         self.sides = available_sides(self.occupied, active.reshape(self.grid.vertices.shape))
         reached = self._touched(self.stencil(method.strain))
         self.solved = active & reached
@@ -79,13 +82,15 @@ class Support:
         return np.bincount(nodes[felt], minlength=self.grid.nnodes) > 0
 
     def _felt(self) -> ndarray:
-        """Nodes that the mapping may read anywhere in the occupied cells: of these, and of their neighbours for domains."""
+        """Nodes the mapping may read anywhere in the occupied cells: of these, and of their neighbours for domains."""
         cells = np.pad(self.occupied, 1)
         if self.method.mass.reads_domains:
             cells = binary_dilation(cells, np.ones((3,) * cells.ndim))
-        nodes = np.zeros(self.grid.vertices.shape, dtype=bool)
+        shape: tuple[int, ...] = self.grid.vertices.shape
+        nodes = np.zeros(shape, dtype=bool)
         for corner in itertools.product((0, 1), repeat=cells.ndim):
-            nodes |= cells[tuple(slice(c, c + size) for c, size in zip(corner, nodes.shape))]
+            shifted = tuple(slice(c, c + size) for c, size in zip(corner, shape))
+            nodes |= cells[shifted]
         return nodes.ravel()
 
     # -- slaved nodes ------------------------------------------------------------------------------------------------
@@ -95,13 +100,14 @@ class Support:
         follow = _extrapolation(self.grid.vertices.shape, self.solved, touched & ~self.solved)
         known = self.solved.copy()
         known[np.unique(follow.coords[0])] = True
-        dim, nodes = self.grid.dim, np.flatnonzero(known)
+        dim = self.grid.dim
+        nodes = np.flatnonzero(known)
         self.number = np.full((dim, self.grid.nnodes), -1)
         self.number[:, nodes] = np.arange(dim * len(nodes)).reshape(len(nodes), dim).T
         self.known = known
         self.solved_nodes = np.flatnonzero(self.solved)
-        scalar = (csr_array(eye_array(self.grid.nnodes)) * self.solved[:, None] + follow).tocsr()
-        scalar = scalar[nodes][:, self.solved_nodes]
+        itself = csr_array(eye_array(self.grid.nnodes)) * self.solved[:, None]
+        scalar = (itself + follow).tocsr()[nodes][:, self.solved_nodes]
         self.slaved = len(nodes) > len(self.solved_nodes)
         self.transfer = _per_component(scalar, dim)
         self.free = ~self.fixed[:, self.solved_nodes].T.ravel()
@@ -152,8 +158,10 @@ def _extrapolation(shape: tuple[int, ...], solved: ndarray, wanted: ndarray) -> 
         nodes = np.flatnonzero(left)
         pick = np.nonzero(usable)
         share = 1 / count[pick[1]]
-        new = coo_array((np.concatenate([2 * share, -share]),
-                         (np.tile(nodes[pick[1]], 2), np.concatenate([near[pick], far[pick]]))), shape=(size, size))
+        value = np.concatenate([2 * share, -share])
+        row = np.tile(nodes[pick[1]], 2)
+        column = np.concatenate([near[pick], far[pick]])
+        new = coo_array((value, (row, column)), shape=(size, size))
         matrix = matrix + csr_array(new) @ matrix
         known[nodes[count > 0]] = True
         left[nodes[count > 0]] = False
@@ -182,8 +190,10 @@ def _per_component(scalar: csr_array, dim: int) -> csr_array:
     entries = coo_array(scalar)
     row, column = entries.coords
     shift = np.arange(dim)
-    place = (row[:, None] * dim + shift).ravel(), (column[:, None] * dim + shift).ravel()
-    return csr_array((np.repeat(entries.data, dim), place), shape=(scalar.shape[0] * dim, scalar.shape[1] * dim))
+    rows = (row[:, None] * dim + shift).ravel()
+    columns = (column[:, None] * dim + shift).ravel()
+    value = np.repeat(entries.data, dim)
+    return csr_array((value, (rows, columns)), shape=(scalar.shape[0] * dim, scalar.shape[1] * dim))
 
 
 def stack_rows(rows: Sequence[csr_array], width: int) -> csr_array:

@@ -155,7 +155,7 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_other_meshes_are_refused_with_what_to_do(name):
-    with pytest.raises(ValueError, match=rf"mesh: got an? {type(BAD[name]).__name__}|mesh: got {type(BAD[name]).__name__}") as e:
+    with pytest.raises(ValueError, match=rf"mesh: got (a )?{type(BAD[name]).__name__}") as e:
         Grid.from_mesh(BAD[name])
     assert re.search("expected|do not make a full box", str(e.value))
     assert re.search("ParticleBasis|init_tensor", str(e.value))
@@ -264,7 +264,8 @@ def test_a_window_round_the_body_gives_the_stencil_of_the_whole_grid(name, low, 
     for kind in whole:
         for a, b in [(whole[kind].value(), part[kind].value()),
                      *zip(whole[kind].gradient(), part[kind].gradient())]:
-            assert_array_equal(dense(grid, whole[kind], a, mesh.nvertices), dense(window, part[kind], b, mesh.nvertices))
+            assert_array_equal(dense(window, part[kind], b, mesh.nvertices),
+                               dense(grid, whole[kind], a, mesh.nvertices))
 
 
 def test_a_window_holds_the_body_and_two_cells_more():

@@ -220,7 +220,7 @@ def crossing(name, seed=3):
     face, half = np.ones(50), np.full(50, 0.3)
     left, right = (functions(name, face, half, knots_for(face, origin=cell)) for cell in (0, 1))
     nodes = (slice(1, 3), slice(2, 4)) if name == "linear" else (slice(0, 4), slice(1, 5))
-    return u, [(table * u[nodes[0]]).sum(axis=0) for table in left], [(table * u[nodes[1]]).sum(axis=0) for table in right]
+    return [u, *([(table * u[n]).sum(axis=0) for table in tables] for tables, n in zip((left, right), nodes))]
 
 
 @pytest.mark.parametrize("name", ["linear", "gimp", "cmpm"])

@@ -1,0 +1,150 @@
+"""Quasi-static load steps to equilibrium, as a generator of snapshots."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from skfem import Mesh
+
+from ..basis import METHODS, Method
+from ..checks import NotConvergedError, check_choice
+from ..grid import EDGES, Edges
+from ..integration import INTEGRATIONS
+from ..kinematics import STRAINS
+from ..particles import Particles
+from ..weights import WEIGHTS
+from .solve import solve_direct
+from .state import Options, Solver, State
+from .step import Retry, Step
+
+__all__ = ["State", "implicit_steps", "solve_direct"]
+
+SCHEMES = ("equilibrated", "incremental")
+TANGENTS = ("exact", "conjugate")
+
+
+def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | State, material: Any,
+                   boundary: Sequence[Any] = (), *, steps: int, method: str | Method = "mpm",
+                   strain: str = "logarithmic", scheme: str = "equilibrated", weights: str = "one",
+                   integration: str = "points", edges: Edges = "ghost", tangent: str | None = None,
+                   gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, tolerance: float = 1e-11,
+                   max_cuts: int = 6) -> Iterator[State]:
+    """Bring a body to equilibrium load step by load step; yields a :class:`State` after each.
+
+    Parameters
+    ----------
+    mesh
+        An axis-aligned line, quad or hex mesh; or a function of the state that gives the mesh of the next step.
+    start
+        The points, or a state to go on from (its own boundary is then used).
+    material
+        A law such as ``LinearElastic`` or ``Hencky``.
+    boundary
+        Fixed planes and walls, see :mod:`skfem_mpm.boundary`.
+    steps
+        Number of load steps to do.
+    method
+        A name of ``METHODS`` or a ``Method``.
+    strain
+        ``logarithmic`` (finite strain) or ``small`` (small-strain increments on updated positions, as in the paper).
+    scheme
+        ``equilibrated`` (Newton on the residual, the geometry being that of the start of the step) or ``incremental``
+        (one linear solve from the elastic stiffness; stress is never fed back).
+    weights
+        Integration weights: ``one``, ``eq10``, ``interior``, ``overlap``; see :mod:`skfem_mpm.weights`.
+    integration
+        How point stress becomes nodal force: ``points``.
+    edges
+        What GIMP does at the edge of the grid: ``ghost``, ``truncate``, ``clip``.
+    tangent
+        ``exact`` derivative of the residual (default of ``equilibrated``), or ``conjugate``: the functions that carry
+        force on both sides, as in the paper (default of ``incremental``).
+    gravity
+        Body force per mass ``(dim,)``, or a function of the (possibly fractional) step that gives it.
+    solver
+        Any scikit-fem style ``solver(A, b)``; SuperLU with minimum-degree ordering if not given.  With walls the matrix
+        is symmetric indefinite (multipliers), and unsymmetric for methods whose strain is not conjugate to force.
+    floor
+        Soft elastic stiffness as a share of the mean modulus, on all cells around the body.
+    tolerance
+        Largest residual of a step, relative to the forces in it.
+    max_cuts
+        How often a step that does not converge is cut in two before the run stops.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is unknown or does not fit.
+    OutsideGridError
+        If a point, a domain or a wall leaves the grid.
+    NotConvergedError
+        If a step finds no equilibrium or the solver fails; ``.state`` is the last good state.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skfem import MeshLine
+    >>> from skfem_mpm import LinearElastic, Particles, uniaxial
+    >>> from skfem_mpm.boundary import FixedPlane
+    >>> mesh = MeshLine(np.linspace(0, 1, 11))
+    >>> bar = Particles.fill(mesh, uniaxial, density=1.0)
+    >>> fixed = [FixedPlane(axis=0, at=0.0, side=-1, name="base")]
+    >>> for state in implicit_steps(mesh, bar, LinearElastic(E=1e3, nu=0.0), fixed, steps=1, gravity=(-1e-3,)):
+    ...     print(state.step, round(float(state.reactions["base"][0]), 9))
+    1 0.001
+    """
+    options = _check(method, strain, scheme, weights, integration, edges, tangent, floor, tolerance, solver)
+    if int(steps) != steps or steps < 1:
+        raise ValueError(f"steps: got {steps}, expected a whole number of at least 1.")
+    state = start if isinstance(start, State) else _initial(start, tuple(boundary))
+    load = gravity if callable(gravity) else lambda step: gravity
+    return _run(mesh, state, material, options, int(steps), load, max_cuts)
+
+
+def _check(method: str | Method, strain: str, scheme: str, weights: str, integration: str, edges: Edges,
+           tangent: str | None, floor: float, tolerance: float, solver: Solver | None) -> Options:
+    if not isinstance(method, Method):
+        check_choice("method", method, METHODS)
+        method = METHODS[method]
+    for name, value, choices in [("strain", strain, STRAINS), ("scheme", scheme, SCHEMES),
+                                 ("weights", weights, WEIGHTS), ("integration", integration, INTEGRATIONS),
+                                 ("edges", edges, EDGES)]:
+        check_choice(name, value, choices)
+    tangent = tangent or ("exact" if scheme == "equilibrated" else "conjugate")
+    check_choice("tangent", tangent, TANGENTS)
+    for name, number in [("floor", floor), ("tolerance", tolerance)]:
+        if not (0 <= number < 1):
+            raise ValueError(f"{name}: got {number}, expected a number from 0 to below 1.")
+    return Options(method, strain, scheme, weights, integration, edges, tangent, floor, tolerance,
+                   solver or solve_direct)
+
+
+def _initial(particles: Particles, boundary: tuple[Any, ...]) -> State:
+    if not boundary:
+        raise ValueError("boundary: got nothing that holds the body; give a FixedPlane or a Wall.")
+    return State(0, particles, boundary, np.zeros((particles.dim, 0)), {})
+
+
+def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, load: Callable[[float], Any],
+         max_cuts: int) -> Iterator[State]:
+    for _ in range(steps):
+        good, done, share, cuts = state, 0.0, 1.0, 0
+        while done < 1:
+            here = mesh(state) if callable(mesh) else mesh
+            try:
+                state = Step(here, state, material, options).advance(share, load, good.step + done)
+            except Retry as failure:
+                share, cuts = share / 2, cuts + 1
+                if cuts > max_cuts:
+                    raise NotConvergedError(
+                        f"step {good.step + 1}: {failure} even after cutting it {max_cuts} times; the last good state "
+                        "is in .state. Use smaller steps, or look for what fails there.", good) from None
+            except NotConvergedError as failure:
+                raise NotConvergedError(f"step {good.step + 1}: {failure}", good) from None
+            else:
+                done += share
+        state = replace(state, step=good.step + 1, cuts=cuts)
+        yield state

@@ -1,0 +1,57 @@
+"""Linear systems with fixed components and multipliers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+from scipy.sparse import block_array, csc_array, csr_array, issparse
+from scipy.sparse.linalg import splu
+
+from ..checks import NotConvergedError
+from .state import Solver
+
+
+def solve_constrained(solver: Solver, stiffness: csr_array, force: ndarray, rows: csr_array, values: ndarray,
+                      free: ndarray) -> tuple[ndarray, ndarray]:
+    """Displacements and multipliers of ``stiffness u + rows^T m = force``, ``rows u = values``.
+
+    What is not free is zero.
+
+    Raises
+    ------
+    NotConvergedError
+        If the solver fails or its answer does not solve the system.
+    """
+    free = np.flatnonzero(free)
+    matrix = csc_array(stiffness) if len(free) == stiffness.shape[0] else csc_array(stiffness)[:, free][free]
+    scale = abs(matrix.diagonal()).mean() if len(values) else 1.0    # multipliers of the size of displacements
+    rows = scale * rows[:, free]
+    system = block_array([[matrix, rows.T], [rows, None]], format="csc") if len(values) else matrix
+    rhs = np.concatenate([force[free], scale * values])
+    solution = np.asarray(solver(system, rhs))
+    error = np.linalg.norm(system @ solution - rhs) if solution.shape == rhs.shape else np.inf
+    if not error <= 1e-6 * np.linalg.norm(rhs):
+        raise NotConvergedError(f"solver: got a linear residual of {error:.1e}, expected at most 1e-6 of "
+                                f"{np.linalg.norm(rhs):.1e}; look for parts that nothing holds, or use another solver.")
+    unknowns = np.zeros(stiffness.shape[0])
+    unknowns[free] = solution[:len(free)]
+    return unknowns, scale * solution[len(free):]
+
+
+def solve_direct(matrix: Any, rhs: ndarray) -> ndarray:
+    """SuperLU with minimum-degree ordering of the symmetric pattern.
+
+    Raises
+    ------
+    NotConvergedError
+        If the matrix is singular.
+    """
+    matrix = csc_array(matrix) if not issparse(matrix) or matrix.format != "csc" else matrix
+    try:
+        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
+    except RuntimeError as error:
+        raise NotConvergedError(f"solver: {error}; some part of the body is held by nothing: add a FixedPlane or a "
+                                "Wall, or keep the soft floor above zero.") from None
+    return factor.solve(rhs)

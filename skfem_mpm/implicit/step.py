@@ -1,0 +1,257 @@
+"""One load step: the system on the grid as it is at its start, Newton's method, and what it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+from scipy.sparse import csc_array, csr_array
+from skfem import Mesh
+
+from ..integration import INTEGRATIONS
+from ..kinematics import STRAINS, Response
+from ..particles import Particles
+from ..support import Support, stack_rows
+from ..weights import weights
+from .solve import solve_constrained
+from .state import Options, State
+
+MAX_PASSES = 25
+
+
+class Retry(Exception):
+    """The step did not converge and may do so in smaller parts."""
+
+
+class Step:
+    """One load step (or a part of it) on the grid as it is at its start."""
+
+    def __init__(self, mesh: Mesh, state: State, material: Any, options: Options):
+        self.mesh, self.state, self.material, self.options = mesh, state, material, options
+        particles = _needed(state.particles, options)
+        method = options.method
+        self.particles = particles
+        self.support = Support(mesh, particles, method, options.edges, state.boundary)
+        self.motion = self._motion(particles)
+        self.operator = self._operator(method.force, method.strain)
+        self.floor = self._floor_stiffness()
+
+    def _motion(self, particles: Particles) -> Any:
+        kinematics = particles.kinematics
+        sigma = particles.sigma
+        if sigma is None:
+            sigma = np.zeros((kinematics.ncomp, particles.n))
+        return STRAINS[self.options.strain](kinematics, particles.dim, self.material, sigma, particles.epsilon)
+
+    def _operator(self, force: type, strain: type) -> Any:
+        support, points = self.support, self.particles
+        factor = weights(self.options.weights, support.grid, support.index, points.x, points.volume,
+                         points.kinematics.hoop, points.length)
+        integration = INTEGRATIONS[self.options.integration]
+        return integration(points.kinematics, support.stencil(force), support.stencil(strain),
+                           factor * points.volume, points.x[0])
+
+    def _floor_stiffness(self) -> csc_array:
+        """Soft stiffness of whole cells, with two Gauss points per axis; ordinary finite elements."""
+        support, kinematics = self.support, self.particles.kinematics
+        size = support.transfer.shape[0]
+        cells = support.sound_cells()
+        if not self.options.floor or not cells.size:
+            return csc_array((size, size))
+        grid, dim = support.grid, support.grid.dim
+        signs = np.indices((2,) * dim).reshape(dim, -1) * 2 - 1
+        offset = signs / np.sqrt(12) + 0.5
+        index = np.repeat(cells, 2 ** dim, axis=1)
+        place = np.tile(offset, cells.shape[1])
+        step = np.stack([grid.steps[k][index[k]] for k in range(dim)])
+        x = np.stack([grid.axes[k][index[k]] for k in range(dim)]) + place * step
+        radius = x[0] if kinematics.hoop else 1.0
+        volume = step.prod(axis=0) / 2 ** dim * radius
+        stencil = grid.linear(x, index)
+        moduli = self._elastic().mean(axis=2, keepdims=True)
+        floor = INTEGRATIONS["points"](kinematics, stencil, stencil, volume, x[0])
+        return floor.tangent(self.options.floor * moduli, support.number, size)
+
+    def _elastic(self) -> ndarray:
+        """Moduli of the unstressed material, ``(m, m, 1)`` or ``(m, m, n)``."""
+        zero = np.zeros((self.particles.kinematics.ncomp, self.particles.n))
+        return self.material.tangent(zero, zero, self.motion.places)
+
+    # -- a step ------------------------------------------------------------------------------------------------------
+
+    def advance(self, share: float, load: Callable[[float], Any], done: float) -> State:
+        """The state after ``share`` of a load step that starts ``done`` steps into the run."""
+        rows, values, owner = self._constraints(share)
+        external = self._weight(load(done + share))
+        if self.options.scheme == "incremental":
+            before = self._weight(load(done) if done else None)
+            unknowns, force, residuals = self._solve_once(external - before, rows, values)
+        else:
+            unknowns, force, residuals = self._newton(external, rows, values)
+        reactions = self._reactions(force, rows, owner)
+        return self._finish(self.support.spread(unknowns), share, residuals, reactions)
+
+    def _constraints(self, share: float) -> tuple[csr_array, ndarray, list[tuple[str, int]]]:
+        """Wall rows over the solved components, scaled like the stiffness, and whose they are."""
+        rows: list[csr_array] = []
+        values: list[float] = []
+        owner: list[tuple[str, int]] = []
+        for wall in self.state.boundary:
+            if hasattr(wall, "rows"):
+                new, targets, components = wall.rows(self.support, share)
+                rows += new
+                values += targets
+                owner += [(wall.name, component) for component in components]
+        if not rows and self.support.free.all():
+            raise ValueError("boundary: nothing is fixed and no wall holds the body; add a FixedPlane or a Wall where "
+                             "it is.")
+        return stack_rows(rows, self.support.transfer.shape[1]), np.array(values), owner
+
+    def _weight(self, gravity: Any) -> ndarray:
+        """Body force on the solved components."""
+        if gravity is None:
+            return np.zeros(self.support.transfer.shape[1])
+        gravity = np.asarray(gravity, dtype=float)
+        if gravity.shape != (self.particles.dim,):
+            raise ValueError(f"gravity: got shape {gravity.shape}, expected ({self.particles.dim},), one entry per "
+                             "axis.")
+        return self.support.gather(gravity[:, None] * self.support.mass)
+
+    def _solve_once(self, external: ndarray, rows: csr_array,
+                    values: ndarray) -> tuple[ndarray, ndarray, tuple[float, ...]]:
+        moduli = self._elastic()
+        stiffness = self._stiffness(moduli)
+        unknowns, multipliers = self._linear_solve(stiffness, external, rows, values)
+        unbalanced = stiffness @ unknowns - external
+        return unknowns, np.concatenate([unbalanced, multipliers]), ()
+
+    def _stiffness(self, moduli: ndarray) -> csr_array:
+        operator = self.operator
+        if self.options.tangent == "conjugate":
+            operator = self._operator(self.options.method.force, self.options.method.force)
+        support = self.support
+        full = operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.floor
+        return support.transfer.T @ full @ support.transfer if support.slaved else full
+
+    def _newton(self, external: ndarray, rows: csr_array,
+                values: ndarray) -> tuple[ndarray, ndarray, tuple[float, ...]]:
+        unknowns = np.zeros(rows.shape[1])
+        multipliers = np.zeros(len(values))
+        response, force = self._internal(unknowns)
+        residuals: list[float] = []
+        for _ in range(MAX_PASSES):
+            stiffness = self._stiffness(response.tangent())
+            change, target = self._linear_solve(stiffness, external - force, rows, values - rows @ unknowns)
+            unknowns, multipliers, response, force, residual = self._line_search(
+                unknowns, change, multipliers, target, external, rows, residuals)
+            residuals.append(residual)
+            if residual <= self.options.tolerance:
+                return unknowns, np.concatenate([force - external, multipliers]), tuple(residuals)
+        raise Retry(f"the residual stayed at {residuals[-1]:.1e} after {MAX_PASSES} Newton passes")
+
+    def _line_search(self, unknowns: ndarray, change: ndarray, multipliers: ndarray, target: ndarray,
+                     external: ndarray, rows: csr_array,
+                     residuals: list[float]) -> tuple[ndarray, ndarray, Response, ndarray, float]:
+        """Take the largest of a few shares of the Newton change that lowers the residual.
+
+        The first pass takes the whole.
+        """
+        for scale in (1.0, 0.5, 0.25, 0.125):
+            trial = unknowns + scale * change
+            forces = multipliers + scale * (target - multipliers)
+            gradient = self.operator.gradient(self.support.spread(trial))
+            if self.motion.stretch(gradient).min() > 0:
+                response, force = self._internal(trial)
+                residual = self._relative(force, external, rows, forces)
+                if not residuals or residual < max(residuals[-1], self.options.tolerance):
+                    return trial, forces, response, force, residual
+            elif not residuals:
+                break
+        if not residuals:
+            raise Retry("a Newton pass turned a point inside out")
+        raise Retry(f"the residual did not fall below {residuals[-1]:.1e}")
+
+    def _internal(self, unknowns: ndarray) -> tuple[Response, ndarray]:
+        support = self.support
+        gradient = self.operator.gradient(support.spread(unknowns))
+        response = self.motion.respond(gradient)
+        internal = support.gather(self.operator.force(response.piola))
+        soft = support.transfer.T @ (self.floor @ (support.transfer @ unknowns))
+        return response, internal + soft
+
+    def _relative(self, force: ndarray, external: ndarray, rows: csr_array, multipliers: ndarray) -> float:
+        """Residual of the free components, relative to the forces in the step."""
+        wall = rows.T @ multipliers
+        size = np.linalg.norm(force) + np.linalg.norm(external) + np.linalg.norm(wall)
+        residual = np.linalg.norm((force - external + wall)[self.support.free])
+        if not np.isfinite(residual):
+            return np.inf
+        return float(residual / size) if size > 0 else 0.0
+
+    def _linear_solve(self, stiffness: csr_array, force: ndarray, rows: csr_array,
+                      values: ndarray) -> tuple[ndarray, ndarray]:
+        return solve_constrained(self.options.solver, stiffness, force, rows, values, self.support.free)
+
+    # -- afterwards --------------------------------------------------------------------------------------------------
+
+    def _reactions(self, force: ndarray, rows: csr_array, owner: list[tuple[str, int]]) -> dict[str, ndarray]:
+        """Force of walls and planes on the body; ``force`` ends with the multipliers."""
+        support, dim = self.support, self.particles.dim
+        unbalanced, multipliers = np.split(force, [rows.shape[1]])
+        unbalanced = (unbalanced + rows.T @ multipliers).reshape(-1, dim).T
+        reactions: dict[str, ndarray] = {}
+        for (name, component), multiplier in zip(owner, multipliers):
+            reactions.setdefault(name, np.zeros(dim))[component] -= multiplier
+        for plane in self.state.boundary:
+            if hasattr(plane, "fixes"):
+                on = plane.fixes(support.grid)[:, support.solved_nodes]
+                reactions.setdefault(plane.name, np.zeros(dim))[:] += (unbalanced * on).sum(axis=1)
+        return reactions
+
+    def _finish(self, u: ndarray, share: float, residuals: tuple[float, ...], reactions: dict[str, ndarray]) -> State:
+        support, old = self.support, self.particles
+        gradient = self.operator.gradient(u)
+        ratio = self.motion.stretch(gradient)
+        if not ratio.min() > 0:
+            raise Retry("a point turned inside out")
+        response = self.motion.respond(gradient)
+        particles = replace(old, x=old.x + support.mapping.to_points(u), volume=old.volume * ratio,
+                            sigma=response.sigma, epsilon=response.epsilon)
+        displacement = np.zeros((old.dim, self.mesh.nvertices))
+        displacement[:, support.grid.vertices.ravel()] = u
+        displacement.flags.writeable = False
+        boundary = tuple(item.advanced(share) for item in self.state.boundary)
+        recovery = _Recovery(support, u, self.material, self.options, old.kinematics)
+        return State(self.state.step, particles, boundary, displacement, reactions, residuals,
+                     scheme=self.options.scheme, _recovery=recovery)
+
+
+@dataclass(frozen=True, eq=False)
+class _Recovery:
+    """Recovers the stress increment of a step at any positions."""
+
+    support: Support
+    u: ndarray
+    material: Any
+    options: Options
+    kinematics: Any
+
+    def __call__(self, x: ndarray, length: ndarray | None) -> ndarray:
+        stencil = self.support.stencil(self.options.method.strain, x, length)
+        operator = INTEGRATIONS["points"](self.kinematics, stencil, stencil, np.ones(x.shape[1]), x[0])
+        gradient = operator.gradient(self.u)
+        zero = np.zeros((self.kinematics.ncomp, x.shape[1]))
+        motion = STRAINS[self.options.strain](self.kinematics, len(x), self.material, zero, None)
+        return motion.respond(gradient).sigma
+
+
+def _needed(particles: Particles, options: Options) -> Particles:
+    """Only what the scene requires: domains are carried along if a basis or the weights read them."""
+    method = options.method
+    uses_domains = any(basis.reads_domains for basis in (method.mass, method.strain, method.force))
+    if uses_domains or options.weights == "overlap":
+        return particles
+    return replace(particles, length=None)

@@ -1,0 +1,252 @@
+"""Planes hold where grid lines are, walls push where they are, and what they push with is reported to the last digit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from skfem import MeshHex, MeshLine, MeshQuad
+
+from skfem_mpm import (
+    METHODS,
+    Hencky,
+    LinearElastic,
+    OutsideGridError,
+    Particles,
+    implicit_steps,
+    plane_strain,
+    solid,
+    uniaxial,
+)
+from skfem_mpm.boundary import FixedPlane, Wall
+from skfem_mpm.grid import Grid
+from skfem_mpm.scenes import cylinder
+from skfem_mpm.support import Support
+
+LAW = LinearElastic(E=100.0, nu=0.3)
+MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
+every_method = pytest.mark.parametrize("method", METHODS)
+
+
+def boxed(dim, cells=8):
+    """A box of material with two spare cells on every side, all cells 0.125 wide."""
+    axis = np.arange(-2, cells + 3) * 0.125
+    mesh = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[dim](*[axis] * dim)
+    return mesh, Particles.fill(mesh, MOTION[dim], density=1.0,
+                                where=lambda x: ((x > 0) & (x < cells * 0.125)).all(axis=0))
+
+
+# Planes.
+
+@pytest.mark.parametrize("at", [0.05, 0.3, 0.9999])
+@every_method
+def test_a_plane_that_is_on_no_grid_line_is_refused(at, method):
+    mesh, body = boxed(1)
+    with pytest.raises(ValueError, match=rf"fixed plane 'base' at {at}.*no grid line of axis 0.*move the grid"):
+        next(implicit_steps(mesh, body, LAW, [FixedPlane(0, at, -1, name="base")], steps=1, method=method))
+
+
+@pytest.mark.parametrize("side", [0, 2, -3])
+def test_a_plane_has_one_of_two_sides(side):
+    with pytest.raises(ValueError, match=rf"^side: got {side}, expected \+1 .* or -1"):
+        FixedPlane(0, 1.0, side)
+
+
+@pytest.mark.parametrize("components, expected", [((), (1,)), ((0,), (0,)), ((0, 1), (0, 1))])
+def test_a_plane_holds_its_normal_unless_told_otherwise(components, expected):
+    assert FixedPlane(1, 0.0, -1, components).components == expected
+    assert FixedPlane(1, 0.0, -1, components).advanced(0.5) == FixedPlane(1, 0.0, -1, components)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_plane_divides_the_grid(axis, side):
+    mesh, _ = boxed(2)
+    grid = Grid.from_mesh(mesh)
+    plane = FixedPlane(axis, 0.5, side, components=(0, 1))
+    x = mesh.p[axis][grid.vertices.ravel()]
+    assert_array_equal(plane.behind(grid), side * (x - 0.5) > 1e-9)
+    assert_array_equal(plane.fixes(grid), np.tile(np.isclose(x, 0.5), (2, 1)))
+
+
+@every_method
+def test_a_fixed_face_stays_where_it_is(method):
+    mesh, body = boxed(2)
+    planes = [FixedPlane(1, 0.0, -1, components=(0, 1), name="base")]
+    state = next(implicit_steps(mesh, body, LAW, planes, steps=1, method=method, gravity=(0.5, -1.0)))
+    on = np.isclose(mesh.p[1], 0)
+    assert not state.displacement[:, on].any()
+    assert np.abs(state.displacement[:, np.isclose(mesh.p[1], 1.0)]).max() > 1e-3
+
+
+# Walls: where they push.
+
+WALLS = {1: np.linspace(0, 0.125, 9, endpoint=False)[None],
+         2: np.stack([np.linspace(0, 0.125, 9, endpoint=False), np.linspace(0.01, 0.99, 9)]),
+         3: np.stack([np.linspace(0, 0.125, 5, endpoint=False), *np.random.default_rng(0).uniform(0, 0.5, (2, 5))])}
+
+
+def support_of(method, dim, empty, cells=None):
+    """Support of a body whose cells along x[0] < 0.125, where the walls are, hold points or not."""
+    mesh, body = boxed(dim, cells or (8 if dim < 3 else 4))
+    if empty:
+        body = body.where(body.x[0] > 0.125)
+    return Support(mesh, body, METHODS[method], "ghost", []), body
+
+
+@pytest.mark.parametrize("empty", [False, True])
+@pytest.mark.parametrize("dim", MOTION)
+@every_method
+def test_wall_rows_read_any_linear_field_at_the_true_wall(method, dim, empty):
+    """With points in the wall's cell or without: never a node that nothing holds, which would say zero."""
+    support, body = support_of(method, dim, empty)
+    grid, random = support.grid, np.random.default_rng(1)
+    nodes = np.stack([part.ravel() for part in np.meshgrid(*grid.axes, indexing="ij")])
+    shift, slope = random.uniform(-1, 1, (dim, 1)), random.uniform(-1, 1, (dim, dim))
+    unknowns = (shift + slope @ nodes)[:, support.solved_nodes].T.ravel()
+    wall = Wall(WALLS[dim], [0.25] * dim)
+    rows, values, components = wall.rows(support, share=0.5)
+    assert len(rows) == wall.x.size
+    assert_array_equal(values, 0.125)
+    expected = (shift + slope @ wall.x).T.ravel()          # point by point, component inner
+    assert components == list(range(dim)) * wall.x.shape[1]
+    assert_allclose([(row @ unknowns).item() for row in rows], expected, atol=1e-12)
+
+
+def test_the_scene_for_the_rows_is_what_it_says():
+    for empty in (False, True):
+        support, _ = support_of("mpm", 1, empty)
+        cell = support.grid.locate(np.array([[0.06]]))
+        assert support.occupied[tuple(cell)].item() == (not empty)
+        assert support.holds(cell).item() == (not empty)
+
+
+@pytest.mark.parametrize("dim", MOTION)
+def test_a_component_without_increment_is_free(dim):
+    support, _ = support_of("mpm", dim, empty=False)
+    wall = Wall(WALLS[dim], [None] * (dim - 1) + [0.1])
+    rows, values, components = wall.rows(support, share=1.0)
+    assert len(rows) == wall.x.shape[1] and set(components) == {dim - 1}
+    assert_allclose(wall.advanced(0.5).x[:-1], wall.x[:-1])
+    assert_allclose(wall.advanced(0.5).x[-1], wall.x[-1] + 0.05)
+
+
+@pytest.mark.parametrize("offset", np.linspace(0, 0.96, 9).round(3))
+@pytest.mark.parametrize("strain", ["small", "logarithmic"])
+@every_method
+def test_the_wall_goes_exactly_as_far_as_it_is_told(method, offset, strain):
+    """Displacement of the grid, interpolated to where the wall is: in its own cell, or, where that is empty and finite
+    elements know nothing of it, on from the next."""
+    scene = cylinder(dim=1, offset=offset)
+    r, wall, state = scene.mesh.p[0], scene.boundary[0].x[0, 0], next(scene.run(method, steps=1, strain=strain))
+    order = np.argsort(r)
+    r, u = r[order], state.displacement[0, order]
+    cell = np.searchsorted(r, wall, side="right") - 1
+    empty = not ((scene.particles.x[0] > r[cell]) & (scene.particles.x[0] < r[cell + 1])).any()
+    assert empty == (offset > 0.75)
+    cell += empty and not METHODS[method].mass.reads_domains
+    t = (wall - r[cell]) / (r[cell + 1] - r[cell])
+    assert (1 - t) * u[cell] + t * u[cell + 1] == pytest.approx(scene.increment, rel=1e-12)
+    assert state.boundary[0].x[0, 0] == pytest.approx(wall + scene.increment, rel=1e-15)
+
+
+@pytest.mark.parametrize("x, increment", [(-0.3, 0.1), (1.3, 0.1)])
+@every_method
+def test_a_wall_off_the_grid_is_named(method, x, increment):
+    mesh, body = boxed(1)
+    wall = Wall(np.array([[x]]), (increment,), name="piston")
+    with pytest.raises(OutsideGridError, match=r"wall 'piston'.*outside the grid \[-0\.25, 1\.25\].*larger mesh"):
+        next(implicit_steps(mesh, body, LAW, [wall], steps=1, method=method))
+
+
+@pytest.mark.parametrize("method", ["mpm", "gimp", "cmpm"])
+def test_a_wall_that_leaves_the_grid_on_its_way_stops_the_run(method):
+    """It stretches a bar, 0.02 per step from 0.03 before the end of the grid: on the grid for two steps."""
+    _, body = boxed(1)
+    mesh = MeshLine(np.arange(-2, 9) * 0.125)
+    boundary = [FixedPlane(0, 0.0, -1, name="base"), Wall(np.array([[0.97]]), (0.02,), name="piston")]
+    run = implicit_steps(mesh, replace(body, length=body.length / 10), LAW, boundary, steps=5, method=method)
+    assert [next(run).step, next(run).step] == [1, 2]
+    with pytest.raises(OutsideGridError, match=r"wall 'piston': .*\(1\.01\), outside the grid"):
+        next(run)
+
+
+@pytest.mark.parametrize("x, match", [(np.zeros((2, 3)), r"^wall: got shape \(2, 3\), expected \(1, n\)"),
+                                      (np.zeros(3), r"^wall: got shape \(3,\), expected \(1, n\)"),
+                                      (np.array([[np.nan]]), r"^wall: got nan.*finite")])
+def test_wall_points_of_a_wrong_shape_are_refused(x, match):
+    with pytest.raises(ValueError, match=match):
+        Wall(x, increment=(0.1,))
+
+
+def test_integer_wall_points_are_refused():
+    with pytest.raises(TypeError, match="^wall: got an array of int64, expected floats"):
+        Wall(np.array([[1]]), increment=(0.1,))
+
+
+def test_nobody_moves_a_wall_behind_its_back():
+    x = np.array([[1.0]])
+    wall = Wall(x, increment=(0.1,))
+    x += 1
+    assert wall.x[0, 0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        wall.x[0, 0] = 2.0
+    with pytest.raises(ValueError, match="read-only"):
+        wall.advanced(1.0).x[0, 0] = 2.0
+
+
+# Reactions.
+
+def balance(state, weight):
+    """What is left of all forces on a body, relative to the largest of them."""
+    forces = [*state.reactions.values(), np.asarray(weight, dtype=float)]
+    return np.abs(np.sum(forces, axis=0)).max() / np.abs(forces).max()
+
+
+@pytest.mark.parametrize("material", [LAW, Hencky(E=100.0, nu=0.3)], ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("steps", [1, 4])
+@every_method
+def test_a_bar_between_a_plane_and_a_wall_is_in_balance(method, steps, material):
+    mesh, body = boxed(1)
+    boundary = [FixedPlane(0, 0.0, -1, name="base"), Wall(np.array([[0.97]]), (-0.007,), name="piston")]
+    *_, state = implicit_steps(mesh, body, material, boundary, steps=steps, method=method, gravity=(-0.5,), tolerance=1e-13)
+    assert balance(state, [-0.5]) < 1e-11                         # the mass is 1
+    assert state.reactions["base"][0] > 0 > state.reactions["piston"][0]
+
+
+@pytest.mark.parametrize("gravity", [(0.0, -2.0), (1.0, -2.0)])
+@every_method
+def test_a_block_on_rollers_with_a_wall_is_in_balance(method, gravity):
+    mesh, body = boxed(2)
+    wall = Wall(np.stack([np.full(4, 0.93), np.array([0.1, 0.3, 0.6, 0.8])]), (0.004, None), name="wall")
+    boundary = [FixedPlane(0, 0.0, -1, name="left"), FixedPlane(1, 0.0, -1, name="base"), wall]
+    *_, state = implicit_steps(mesh, body, LAW, boundary, steps=3, method=method, gravity=gravity, tolerance=1e-12)
+    assert balance(state, gravity) < 1e-10
+    assert set(state.reactions) == {"left", "base", "wall"}
+    assert state.reactions["base"][0] == 0 == state.reactions["wall"][1]         # rollers
+
+
+@pytest.mark.parametrize("method", ["mpm", "gc"])
+def test_two_planes_that_share_an_edge_do_not_count_its_force_twice(method):
+    mesh, body = boxed(2)
+    boundary = [FixedPlane(0, 0.0, -1, components=(0, 1), name="left"),
+                FixedPlane(1, 0.0, -1, components=(0, 1), name="base")]
+    state = next(implicit_steps(mesh, body, LAW, boundary, steps=1, method=method, gravity=(1.0, -2.0), tolerance=1e-12))
+    assert balance(state, (1.0, -2.0)) < 1e-10
+
+
+def test_the_weight_of_a_box_is_carried_by_its_base():
+    mesh, body = boxed(3, cells=3)
+    boundary = [FixedPlane(2, 0.0, -1, components=(0, 1, 2), name="base")]
+    state = next(implicit_steps(mesh, body, LAW, boundary, steps=1, gravity=(0.1, 0.2, -2.0), tolerance=1e-12))
+    assert_allclose(state.reactions["base"], -body.mass.sum() * np.array([0.1, 0.2, -2.0]), rtol=1e-10)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_wall_and_plane_answers_under_its_own_name(method):
+    mesh, body = boxed(1)
+    walls = [Wall(np.array([[x]]), (push,), name=name) for x, push, name in [(0.06, 0.001, "low"), (0.94, -0.001, "high")]]
+    state = next(implicit_steps(mesh, body, LAW, walls, steps=1, method=method))
+    assert list(state.reactions) == ["low", "high"]
+    assert state.reactions["low"][0] == pytest.approx(-state.reactions["high"][0], rel=1e-9)
+    assert state.reactions["low"][0] > 0
