@@ -16,7 +16,7 @@ from skfem.element import DiscreteField, Element, ElementH1, ElementVector
 from skfem.refdom import RefHex, RefLine, RefQuad
 
 from . import shapes
-from .grid import Grid, available_sides
+from .grid import Grid, available_sides, cell_mask
 
 
 class _Patch:
@@ -28,7 +28,7 @@ class _Patch:
         self.cell = np.stack(np.unravel_index(np.argsort(grid.cells, axis=None), grid.cells.shape))
         mask = np.ones(grid.cells.shape, dtype=bool)
         if occupied is not None:
-            mask = _cell_mask(mesh, occupied)[grid.cells]
+            mask = cell_mask(mesh, occupied)[grid.cells]
         self.clipped = occupied is not None
         self.sides = available_sides(mask)[(slice(None), slice(None), *self.cell)]      # (2, dim, ncells)
 
@@ -41,12 +41,6 @@ class _Patch:
         size = np.array(grid.vertices.shape)[:, None, None]
         exists = ((index >= 0) & (index < size)).all(axis=0)
         self.nodes = np.where(exists, grid.vertices[tuple(np.clip(index, 0, size - 1))], mesh.t[0])
-
-
-def _cell_mask(mesh: Mesh, occupied: Any) -> ndarray:
-    mask = np.zeros(mesh.nelements, dtype=bool)
-    mask[occupied if np.asarray(occupied).dtype == bool else mesh.normalize_elements(occupied)] = True
-    return mask
 
 
 class _PatchElement(ElementH1):

@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy import ndarray
@@ -234,7 +234,7 @@ class Grid:
             If a domain leaves the grid and ``edges`` is ``ghost``.
         """
         check_choice("edges", edges, EDGES)
-        self._check_reach(x, index, length, edges if sides is None else "clip")
+        self.check_reach(x, index, length, edges if sides is None else "clip")
         if sides is None and edges == "clip":
             sides = available_sides(np.ones(self.cells.shape, dtype=bool))
 
@@ -257,7 +257,8 @@ class Grid:
                     w[k, :, j, (node < 0) | (node >= size)] = 0
         return Stencil(base, w, self.vertices.shape)
 
-    def _check_reach(self, x: ndarray, index: ndarray, length: ndarray, edges: str) -> None:
+    def check_reach(self, x: ndarray, index: ndarray, length: ndarray, edges: str) -> None:
+        """Refuse domains that reach beyond the neighbours of their cell, or off the grid with ``ghost`` edges."""
         for k, knots in enumerate(self._knots):
             low, high = x[k] - length[k] / 2, x[k] + length[k] / 2
             slack = 1e-12 * length[k]                     # a domain that ends on a face may round to either side
@@ -274,6 +275,13 @@ class Grid:
                 raise OutsideGridError(
                     f"the domain of point {point} at {_position(x[:, point])} leaves the grid {self.extent}; give the "
                     "grid a spare layer of cells, or choose edges='clip' or edges='truncate'.")
+
+
+def cell_mask(mesh: Mesh, cells: Any) -> ndarray:
+    """Mask over the cells of a mesh from a mask or anything that ``mesh.normalize_elements`` takes."""
+    mask = np.zeros(mesh.nelements, dtype=bool)
+    mask[cells if np.asarray(cells).dtype == bool else mesh.normalize_elements(cells)] = True
+    return mask
 
 
 def available_sides(occupied: ndarray, active: ndarray | None = None) -> ndarray:

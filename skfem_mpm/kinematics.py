@@ -238,8 +238,11 @@ def _deformation(gradient: ndarray, dim: int) -> ndarray:
 
 def _ratio(F: ndarray, gradient: ndarray, dim: int) -> ndarray:
     """Volume ratio; a negative sign marks any inverted stretch, even an inverted pair."""
-    hoop = 1 + gradient[-1] if len(gradient) > dim * dim else 1.0
-    return np.where(np.less_equal(hoop, 0), -1.0, 1.0) * np.abs(hoop) * _determinant(F)
+    in_plane = _determinant(F)
+    if len(gradient) == dim * dim:
+        return in_plane
+    hoop = 1 + gradient[-1]
+    return np.where(hoop > 0, hoop * in_plane, -np.abs(hoop * in_plane))
 
 
 def _determinant(F: ndarray) -> ndarray:

@@ -74,6 +74,7 @@ def interior(occupied: ndarray) -> ndarray:
 def _by_overlap(grid: Grid, index: ndarray, x: ndarray, volume: ndarray, ring: bool, length: ndarray | None) -> ndarray:
     if length is None:
         raise ValueError("weights: 'overlap' needs the domains of the points; give the particles a length (dim, n).")
+    grid.check_reach(x, index, length, "clip")
     share, cell = zip(*(_shares(grid, k, index[k], x[k], length[k]) for k in range(grid.dim)))
     inside = interior(grid.occupied(index)).ravel()
     held = np.zeros(grid.cells.size)

@@ -284,7 +284,7 @@ def box(mesh):
 
 
 def scattered(mesh, n=150, seed=0, kinematics=None, inside=False, **more):
-    """Points all over a grid, on its nodes and faces too; ``inside`` moves them in so that no domain leaves the grid."""
+    """Points all over a grid, on its nodes and faces too; ``inside`` moves them so that no domain leaves the grid."""
     rng = np.random.default_rng(seed)
     low, high = box(mesh)
     x = low + (high - low) * rng.random((mesh.dim(), n))

@@ -420,6 +420,14 @@ def test_wrong_lengths_of_a_gimp_element_are_refused(length):
 
 
 def test_a_gimp_element_with_a_domain_beyond_the_neighbours_is_refused():
-    mesh, elem = MeshQuad().refined(2), ElementQuadGIMP([1.0, 0.1])
-    with pytest.raises(ValueError, match="length"):
-        cells_of(mesh, elem)
+    mesh = MeshQuad().refined(2)                        # cells of 1/4
+    with pytest.raises(ValueError, match="length: got 0.51 along axis 1, expected at most 0.5.*use a smaller length"):
+        cells_of(mesh, ElementQuadGIMP([0.1, 0.51]))
+    assert cells_of(mesh, ElementQuadGIMP([0.5, 0.5])).N == 25
+
+
+def test_a_gimp_element_of_half_a_cell_is_refused_where_the_next_cell_is_narrower_than_a_quarter():
+    with pytest.raises(ValueError, match="expected at most 4 for domains of half a cell"):
+        cells_of(MeshLine(np.array([0.0, 1.0, 1.2])), ElementLineGIMP())
+    basis = cells_of(MeshLine(np.array([0.0, 1.0, 1.25])), ElementLineGIMP())
+    assert_allclose(np.asarray(basis.interpolate(basis.ones())).max(), 1, rtol=1e-13)

@@ -269,4 +269,4 @@ def test_overlap_refuses_domains_beyond_the_neighbours():
     mesh = MeshQuad().refined(3)
     points = Particles.fill(mesh, plane_strain)
     with pytest.raises(ValueError, match="length"):
-        ParticleBasis(mesh, ElementQuad1(), replace(points, length=5 * points.length)).with_weights("overlap")
+        ParticleBasis(mesh, ElementQuad1(), replace(points, length=6 * points.length)).with_weights("overlap")

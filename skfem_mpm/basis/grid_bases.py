@@ -10,7 +10,7 @@ from skfem import Dofs, Mesh
 from skfem.element import Element
 
 from ..checks import check_choice
-from ..grid import EDGES, Edges, Grid, Stencil, available_sides
+from ..grid import EDGES, Edges, Grid, Stencil, available_sides, cell_mask
 from ..particles import Particles
 from .particle import ParticleBasis, is_linear
 
@@ -98,8 +98,8 @@ class CMPMBasis(_OnGrid):
     particles
         The points.
     occupied
-        Cells that hold material, anything that ``mesh.normalize_elements`` takes; the cells of the points if not given.
-        Patches reach into occupied neighbours only, for values elsewhere mean nothing.
+        Cells that hold material, a mask or anything that ``mesh.normalize_elements`` takes; the cells of the points if
+        not given.  Patches reach into occupied neighbours only, for values elsewhere mean nothing.
 
     Raises
     ------
@@ -129,7 +129,7 @@ class CMPMBasis(_OnGrid):
         cells = grid.cells[tuple(index)]
         if self.occupied is None:
             self.occupied = np.unique(cells)
-        mask = np.isin(grid.cells, self.mesh.normalize_elements(self.occupied))
+        mask = cell_mask(self.mesh, self.occupied)[grid.cells]
         return cells, self.stencil_of(grid, x, index, sides=available_sides(mask))
 
     @classmethod

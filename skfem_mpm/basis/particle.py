@@ -23,7 +23,7 @@ from ..grid import Edges, Grid, Stencil
 from ..locator import CellLocator, local_coordinates
 from ..particles import Particles
 from ..weights import weights
-from .points import LocalPoints
+from .points import LocalPoints, check_same_points
 
 LINEAR = (ElementLineP1, ElementQuad1, ElementHex1)
 
@@ -228,10 +228,18 @@ class ParticleBasis(CellBasis):
         return other
 
     def with_elements(self, elements: Any = None) -> ParticleBasis:
-        """A similar basis on some of the points (indices or mask): a point is an element."""
+        """A similar basis on some of the points (indices or mask; all if not given): a point is an element."""
+        if elements is None:
+            return self
         other = type(self)(self.mesh, self.elem, self.particles.where(elements), dofs=self.dofs, **self._options())
         other.dx = self.dx[elements]
         return other
+
+    def __mul__(self, other: Any) -> Any:
+        """Combine two bases into a composite one; both must be on the same points."""
+        if isinstance(other, ParticleBasis):
+            check_same_points(self.particles.x, other.particles.x)
+        return super().__mul__(other)
 
     def split_bases(self) -> list[Any]:
         """A basis for each component of a vector or composite element."""

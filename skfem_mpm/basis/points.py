@@ -11,6 +11,13 @@ import numpy as np
 from numpy import ndarray
 
 
+def check_same_points(one: ndarray, other: ndarray) -> None:
+    """Refuse to mix points at the positions ``one`` and ``other``, ``(dim, n)`` each, in one form."""
+    if one is not other and (one.shape != other.shape or (one != other).any()):
+        raise ValueError(f"bases: got one with {one.shape[1]} and one with {other.shape[1]} points at different "
+                         "positions in one form, expected the same points; make both bases from one Particles object.")
+
+
 class LocalPoints(ndarray):
     """Local coordinates that know their points.
 
@@ -42,11 +49,8 @@ class _PointCount(int):
         return self
 
     def __ne__(self, other: object) -> bool:
-        if isinstance(other, _PointCount) and self.points is not other.points:
-            if self.points.shape != other.points.shape or (self.points != other.points).any():
-                raise ValueError(f"bases: got one with {self.points.shape[1]} and one with {other.points.shape[1]} "
-                                 "points at different positions in one form, expected the same points; make both bases "
-                                 "from one Particles object.")
+        if isinstance(other, _PointCount):
+            check_same_points(self.points, other.points)
         return int.__ne__(self, other)
 
     def __eq__(self, other: object) -> bool:

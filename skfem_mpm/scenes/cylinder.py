@@ -161,7 +161,7 @@ def cylinder(cells: int = 20, *, dim: int = 2, per_cell: int = 2, rule: str = "q
     >>> scene = cylinder(cells=10, dim=1)
     >>> for state in scene.run(method="cmpm", steps=1):
     ...     print(round(scene.error(state, "lame"), 3))
-    0.011
+    0.004
     """
     check_choice("edges", edges, EDGES)
     for name, value in [("inner", inner), ("increment", increment), ("outer - inner", outer - inner)]:
