@@ -114,7 +114,9 @@ class Wall:
     name: str = "wall"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "x", check_array("wall", self.x, (len(self.increment), None)))
+        x = check_array("wall", self.x, (len(self.increment), None)).copy()
+        x.flags.writeable = False
+        object.__setattr__(self, "x", x)
 
     def advanced(self, share: float) -> Wall:
         """The wall after a share of a load step."""

@@ -73,6 +73,11 @@ class Support:
             return self._stencils[basis]
         return self._make(basis, x, self.grid.locate(x), length)
 
+    def release(self) -> None:
+        """Let go of what belongs to the points, for a snapshot keeps only the grid."""
+        self._stencils.clear()
+        del self.mapping, self.particles, self.index
+
     def _make(self, basis: type[ParticleBasis], x: ndarray, index: ndarray, length: ndarray | None) -> Stencil:
         sides = None if basis is self.method.mass else self.sides
         return basis.stencil_of(self.grid, x, index, length, self.edges, sides)

@@ -209,6 +209,7 @@ class Step:
             if hasattr(plane, "fixes"):
                 on = plane.fixes(support.grid)[:, support.solved_nodes]
                 reactions.setdefault(plane.name, np.zeros(dim))[:] += (unbalanced * on).sum(axis=1)
+                unbalanced = np.where(on, 0, unbalanced)    # where planes meet, the first one takes the force
         return reactions
 
     def _finish(self, u: ndarray, share: float, residuals: tuple[float, ...], reactions: dict[str, ndarray]) -> State:
@@ -224,6 +225,7 @@ class Step:
         displacement[:, support.grid.vertices.ravel()] = u
         displacement.flags.writeable = False
         boundary = tuple(item.advanced(share) for item in self.state.boundary)
+        support.release()
         recovery = _Recovery(support, u, self.material, self.options, old.kinematics)
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
                      scheme=self.options.scheme, _recovery=recovery)
