@@ -106,7 +106,7 @@ class PointIntegration:
     def _pieces(self) -> Iterator[slice]:
         """Smaller pieces for wider stencils, so that the pairs of a piece stay in the cache."""
         width = self.force_stencil.w.shape[2] * self.strain_stencil.w.shape[2]
-        size = max(64, 4 ** self.dim * 4096 // width ** self.dim)
+        size = max(64, 4 ** self.dim * 16384 // width ** self.dim)
         return (slice(start, start + size) for start in range(0, self.force_stencil.n, size))
 
     def _reach(self) -> int:
