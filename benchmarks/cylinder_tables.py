@@ -1,6 +1,6 @@
 """The tables of docs/results.md about the cylinder, as Markdown: errors, orders, reactions, Newton's method, choices.
 
-    python benchmarks/cylinder_tables.py            all tables, about a minute on 2 cores
+    python benchmarks/cylinder_tables.py            all tables, one to two minutes on 2 cores
     python benchmarks/cylinder_tables.py --quick    smaller ones, a few seconds
     python benchmarks/cylinder_tables.py --only newton floor
 
@@ -10,10 +10,11 @@ Uses the library alone, on the line version of the scene (dim=1), which is the s
 import argparse
 import platform
 import time
+from dataclasses import replace
 
 import numpy as np
 
-from skfem_mpm import METHODS, Hencky, NotConvergedError
+from skfem_mpm import METHODS, Hencky, NotConvergedError, support
 from skfem_mpm.grid import EDGES
 from skfem_mpm.scenes import cylinder
 from skfem_mpm.scenes.cylinder_reference import deviatoric, lame, reaction_lame
@@ -193,6 +194,28 @@ def table_grid(quick):
         ("following, overlap", lambda: cylinder(dim=1, follow=True), {"weights": "overlap"})], quick)
 
 
+def table_domains(quick):
+    """GIMP domains of fixed size, as in the library, or stretched; and the share of mass below which a node is slaved."""
+    marks = [1, 5, 10] if quick else [1, 10, 20, 30, 40, 50]
+    rows, default = [], support.CUTOFF
+    for method in ("gimp", "gc"):
+        for cutoff in (default, 1e-4, 1e-2):
+            support.CUTOFF = cutoff
+            for stretched in (False, True):
+                scene, state, found = cylinder(dim=1), None, []
+                for _ in range(marks[-1]):
+                    state = next(scene.run(method, steps=1, start=state))
+                    found.append(scene.error(state))
+                    if stretched:
+                        length = scene.particles.length * np.exp(state.particles.epsilon[:1])
+                        state = replace(state, particles=replace(state.particles, length=length))
+                rows.append([method, f"{cutoff:.0e}", "stretched" if stretched else "fixed",
+                             *(percent(found[n - 1]) for n in marks), percent(max(found))])
+    support.CUTOFF = default
+    table("Domains of GIMP, and light nodes", ["method", "slaved below", "domains", *(f"step {n}" for n in marks),
+                                               "worst step"], rows)
+
+
 def table_law(quick):
     law = Hencky(E=25e6, nu=0.3)
     compare("Hencky's law (reference: kirchhoff)", [
@@ -208,7 +231,7 @@ def table_edges(quick):
 
 TABLES = {"one": table_one, "orders": table_orders, "reaction": table_reaction, "newton": table_newton,
           "references": table_references, "history": table_history, "incremental": table_incremental,
-          "floor": table_floor, "grid": table_grid, "law": table_law, "edges": table_edges}
+          "floor": table_floor, "grid": table_grid, "law": table_law, "edges": table_edges, "domains": table_domains}
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--quick", action="store_true", help="fewer cells, positions and steps")

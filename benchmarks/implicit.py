@@ -72,10 +72,10 @@ def measure(method, points, empty, repeats, solve):
 
     _, stencil = median(stencils, repeats)
     unknowns = np.zeros(support.transfer.shape[1])
-    (response, force), residual = median(lambda: step._internal(unknowns), repeats)
-    moduli, tangent = median(response.tangent, repeats)
+    nothing, external = stack_rows([], len(unknowns)), step._weight((0.0, -1e-3))
+    start, residual = median(lambda: step._iterate(unknowns, np.zeros(0), external, nothing), repeats)
+    moduli, tangent = median(start.response.tangent, repeats)
     stiffness, assemble = median(lambda: step._stiffness(moduli), repeats)
-    external = step._weight((0.0, -1e-3))
     row = {"method": method, "points": particles.n, "dofs": int(support.free.sum()), "nonzeros": int(stiffness.nnz),
            "mesh_cells": mesh.nelements, "setup_of_step": setup, "locate": locate, "stencil": stencil,
            "residual": residual, "moduli": tangent, "assemble": assemble}
@@ -83,8 +83,7 @@ def measure(method, points, empty, repeats, solve):
     row["tangent_and_residual"] = whole
     row["ns_per_point"] = {name: round(1e9 * row[name][0] / particles.n) for name in ("locate", "stencil", "assemble")}
     if solve:
-        nothing = stack_rows([], len(unknowns))
-        _, row["solve"] = median(lambda: step._linear_solve(stiffness, external - force, nothing, np.zeros(0)),
+        _, row["solve"] = median(lambda: step._linear_solve(stiffness, external - start.force, nothing, np.zeros(0)),
                                  min(3, repeats))
         row["newton_pass"] = whole + row["solve"][0]
     return row

@@ -279,8 +279,15 @@ class Grid:
 
 def cell_mask(mesh: Mesh, cells: Any) -> ndarray:
     """Mask over the cells of a mesh from a mask or anything that ``mesh.normalize_elements`` takes."""
+    chosen = np.asarray(cells)
+    if chosen.dtype != bool:
+        chosen = mesh.normalize_elements(cells)
+    is_mask, size = chosen.dtype == bool, mesh.nelements
+    if not (len(chosen) == size if is_mask else ((chosen >= 0) & (chosen < size)).all()):
+        raise ValueError(f"occupied: got cells or a mask that do not fit {size} cells; give cell numbers from 0 to "
+                         f"{size - 1}, or a mask of that length.")
     mask = np.zeros(mesh.nelements, dtype=bool)
-    mask[cells if np.asarray(cells).dtype == bool else mesh.normalize_elements(cells)] = True
+    mask[chosen] = True
     return mask
 
 
@@ -325,8 +332,8 @@ _GRIDS: dict[int, Grid] = {}
 
 def _view(mesh: Mesh) -> Grid:
     if not isinstance(mesh, (MeshLine1, MeshQuad1, MeshHex1)) or mesh.p.shape[1] != len(np.unique(mesh.t)):
-        raise ValueError(f"mesh: got {type(mesh).__name__}, expected an axis-aligned MeshLine1, MeshQuad1 or MeshHex1; "
-                         "other meshes work with ParticleBasis only.")
+        raise ValueError(f"mesh: got {type(mesh).__name__}, expected an axis-aligned MeshLine1, MeshQuad1 or MeshHex1 "
+                         "without unused vertices; other meshes work with ParticleBasis only.")
     index, axes = zip(*(_axis(coordinate) for coordinate in mesh.p))
     shape = tuple(len(axis) for axis in axes)
     low = np.stack([i[mesh.t].min(axis=0) for i in index])
@@ -376,4 +383,4 @@ def _compact(stencil: Stencil) -> Stencil:
 
 
 def _position(x: ndarray) -> str:
-    return "(" + ", ".join(f"{value:.6g}" for value in x) + ")"
+    return "(" + ", ".join(repr(float(value)) for value in x) + ")"    # every digit: it may be just outside

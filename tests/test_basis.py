@@ -1,6 +1,7 @@
 """Points are a scikit-fem basis: any form assembles on them, and on Gauss points gives what scikit-fem gives."""
 
 import gc
+import operator
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -866,13 +867,14 @@ def test_bases_with_different_points_in_one_unstructured_form_are_refused():
         mass.assemble(ParticleBasis(mesh, elem, points), other)
 
 
+@pytest.mark.parametrize("combine", [operator.mul, operator.matmul])
 @pytest.mark.parametrize("same_number", [True, False])
-def test_composite_bases_of_different_points_are_refused(same_number):
+def test_composite_bases_of_different_points_are_refused(same_number, combine):
     points = body()
     other = points.where(np.arange(points.n)[::-1].copy() if same_number else np.arange(40))
     coupled = BilinearForm(lambda u, p, v, q, w: u * q + p * v)
     with pytest.raises(ValueError, match="same points"):
-        coupled.assemble(on_grid("fe", points=points) * on_grid("fe", points=other))
+        coupled.assemble(combine(on_grid("fe", points=points), on_grid("fe", points=other)))
 
 
 def test_a_basis_of_cells_in_one_form_with_points_is_refused():

@@ -241,6 +241,12 @@ class ParticleBasis(CellBasis):
             check_same_points(self.particles.x, other.particles.x)
         return super().__mul__(other)
 
+    def __matmul__(self, other: Any) -> Any:
+        """Combine two bases of equal size into a composite one on the same degrees of freedom and points."""
+        if isinstance(other, ParticleBasis):
+            check_same_points(self.particles.x, other.particles.x)
+        return super().__matmul__(other)
+
     def split_bases(self) -> list[Any]:
         """A basis for each component of a vector or composite element."""
         if isinstance(self.elem, ElementComposite):

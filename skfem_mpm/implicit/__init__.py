@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -97,8 +98,10 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     1 0.001
     """
     options = _check(method, strain, scheme, weights, integration, edges, tangent, floor, tolerance, solver)
-    if int(steps) != steps or steps < 1:
+    if not (isinstance(steps, Integral) and steps >= 1):
         raise ValueError(f"steps: got {steps}, expected a whole number of at least 1.")
+    if not (hasattr(material, "update") and hasattr(material, "tangent")):
+        raise TypeError(f"material: got {type(material).__name__}, expected a law such as LinearElastic(E=1e6, nu=0.3).")
     state = start if isinstance(start, State) else _initial(start, tuple(boundary))
     load = gravity if callable(gravity) else lambda step: gravity
     return _run(mesh, state, material, options, int(steps), load, max_cuts)
@@ -123,6 +126,8 @@ def _check(method: str | Method, strain: str, scheme: str, weights: str, integra
 
 
 def _initial(particles: Particles, boundary: tuple[Any, ...]) -> State:
+    if not isinstance(particles, Particles):
+        raise TypeError(f"start: got {type(particles).__name__}, expected Particles, or a State to go on from.")
     if not boundary:
         raise ValueError("boundary: got nothing that holds the body; give a FixedPlane or a Wall.")
     return State(0, particles, boundary, np.zeros((particles.dim, 0)), {})

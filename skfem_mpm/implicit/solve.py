@@ -30,7 +30,11 @@ def solve_constrained(solver: Solver, stiffness: csr_array, force: ndarray, rows
     rows = scale * rows[:, free]
     system = block_array([[matrix, rows.T], [rows, None]], format="csc") if len(values) else matrix
     rhs = np.concatenate([force[free], scale * values])
-    solution = np.asarray(solver(system, rhs))
+    try:
+        solution = np.asarray(solver(system, rhs))
+    except (RuntimeError, ArithmeticError, np.linalg.LinAlgError) as failure:
+        raise NotConvergedError(f"solver: {failure}; some part of the body may be held by nothing: add a FixedPlane or a "
+                                "Wall, keep the soft floor above zero, or use another solver.") from failure
     error = np.linalg.norm(system @ solution - rhs) if solution.shape == rhs.shape else np.inf
     if not error <= 1e-6 * np.linalg.norm(rhs):
         raise NotConvergedError(f"solver: got a linear residual of {error:.1e}, expected at most 1e-6 of "
@@ -45,13 +49,9 @@ def solve_direct(matrix: Any, rhs: ndarray) -> ndarray:
 
     Raises
     ------
-    NotConvergedError
+    RuntimeError
         If the matrix is singular.
     """
     matrix = csc_array(matrix) if not issparse(matrix) or matrix.format != "csc" else matrix
-    try:
-        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
-    except RuntimeError as error:
-        raise NotConvergedError(f"solver: {error}; some part of the body is held by nothing: add a FixedPlane or a "
-                                "Wall, or keep the soft floor above zero.") from None
+    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
     return factor.solve(rhs)

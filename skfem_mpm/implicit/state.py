@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -43,7 +43,7 @@ class State:
     particles: Particles
     boundary: tuple[Any, ...]
     displacement: ndarray
-    reactions: dict[str, ndarray]
+    reactions: Mapping[str, ndarray]
     residuals: tuple[float, ...] = ()
     cuts: int = 0
     scheme: str = ""

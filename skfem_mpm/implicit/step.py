@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,9 @@ from numpy import ndarray
 from scipy.sparse import csc_array, csr_array
 from skfem import Mesh
 
+from ..checks import check_array
 from ..integration import INTEGRATIONS
-from ..kinematics import STRAINS, Response
+from ..kinematics import STRAINS
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
@@ -24,6 +26,17 @@ MAX_PASSES = 25
 
 class Retry(Exception):
     """The step did not converge and may do so in smaller parts."""
+
+
+@dataclass(frozen=True)
+class _Iterate:
+    """Where Newton's method is: unknowns and multipliers, what points answer, and how far from equilibrium that is."""
+
+    unknowns: ndarray
+    multipliers: ndarray
+    response: Any
+    force: ndarray
+    residual: float
 
 
 class Step:
@@ -38,6 +51,8 @@ class Step:
         self.motion = self._motion(particles)
         self.operator = self._operator(method.force, method.strain)
         self.floor = self._floor_stiffness()
+        self.force_before = 0.0
+        self.stiffness_scale = np.zeros(self.support.transfer.shape[1])
 
     def _motion(self, particles: Particles) -> Any:
         kinematics = particles.kinematics
@@ -115,7 +130,9 @@ class Step:
         if gravity is None:
             return np.zeros(self.support.transfer.shape[1])
         gravity = np.asarray(gravity, dtype=float)
-        if gravity.shape != (self.particles.dim,):
+        if gravity.shape == (self.particles.dim,):
+            gravity = check_array("gravity", gravity, gravity.shape)
+        else:
             raise ValueError(f"gravity: got shape {gravity.shape}, expected ({self.particles.dim},), one entry per "
                              "axis.")
         return self.support.gather(gravity[:, None] * self.support.mass)
@@ -138,58 +155,46 @@ class Step:
 
     def _newton(self, external: ndarray, rows: csr_array,
                 values: ndarray) -> tuple[ndarray, ndarray, tuple[float, ...]]:
-        unknowns = np.zeros(rows.shape[1])
-        multipliers = np.zeros(len(values))
-        response, force = self._internal(unknowns)
+        at = self._iterate(np.zeros(rows.shape[1]), np.zeros(len(values)), external, rows)
+        self.force_before = float(np.linalg.norm(at.force))
         residuals: list[float] = []
         for _ in range(MAX_PASSES):
-            stiffness = self._stiffness(response.tangent())
-            change, target = self._linear_solve(stiffness, external - force, rows, values - rows @ unknowns)
-            unknowns, multipliers, response, force, residual = self._line_search(
-                unknowns, change, multipliers, target, external, rows, residuals)
-            residuals.append(residual)
-            if residual <= self.options.tolerance:
-                return unknowns, np.concatenate([force - external, multipliers]), tuple(residuals)
+            stiffness = self._stiffness(at.response.tangent())
+            self.stiffness_scale = stiffness.diagonal()
+            change, target = self._linear_solve(stiffness, external - at.force, rows, values - rows @ at.unknowns)
+            at = self._line_search(at, change, target, external, rows, first=not residuals)
+            residuals.append(at.residual)
+            if at.residual <= self.options.tolerance:
+                return at.unknowns, np.concatenate([at.force - external, at.multipliers]), tuple(residuals)
         raise Retry(f"the residual stayed at {residuals[-1]:.1e} after {MAX_PASSES} Newton passes")
 
-    def _line_search(self, unknowns: ndarray, change: ndarray, multipliers: ndarray, target: ndarray,
-                     external: ndarray, rows: csr_array,
-                     residuals: list[float]) -> tuple[ndarray, ndarray, Response, ndarray, float]:
-        """Take the largest of a few shares of the Newton change that lowers the residual.
+    def _line_search(self, at: _Iterate, change: ndarray, target: ndarray, external: ndarray, rows: csr_array,
+                     first: bool) -> _Iterate:
+        """Take the largest of a few shares of the change that lowers the residual; in the first pass the whole."""
+        for scale in (1.0,) if first else (1.0, 0.5, 0.25, 0.125):
+            multipliers = at.multipliers + scale * (target - at.multipliers)
+            trial = self._iterate(at.unknowns + scale * change, multipliers, external, rows)
+            if np.isfinite(trial.residual) and (first or trial.residual < max(at.residual, self.options.tolerance)):
+                return trial
+        if first:
+            raise Retry("the first Newton pass turned a point inside out")
+        raise Retry(f"the residual did not fall below {at.residual:.1e}")
 
-        The first pass takes the whole.
-        """
-        for scale in (1.0, 0.5, 0.25, 0.125):
-            trial = unknowns + scale * change
-            forces = multipliers + scale * (target - multipliers)
-            gradient = self.operator.gradient(self.support.spread(trial))
-            if self.motion.stretch(gradient).min() > 0:
-                response, force = self._internal(trial)
-                residual = self._relative(force, external, rows, forces)
-                if not residuals or residual < max(residuals[-1], self.options.tolerance):
-                    return trial, forces, response, force, residual
-            elif not residuals:
-                break
-        if not residuals:
-            raise Retry("a Newton pass turned a point inside out")
-        raise Retry(f"the residual did not fall below {residuals[-1]:.1e}")
-
-    def _internal(self, unknowns: ndarray) -> tuple[Response, ndarray]:
+    def _iterate(self, unknowns: ndarray, multipliers: ndarray, external: ndarray, rows: csr_array) -> _Iterate:
+        """Response, force and residual at a trial displacement; the residual is infinite where a point inverts."""
         support = self.support
         gradient = self.operator.gradient(support.spread(unknowns))
+        if not self.motion.stretch(gradient).min() > 0:
+            return _Iterate(unknowns, multipliers, None, unknowns, np.inf)
         response = self.motion.respond(gradient)
-        internal = support.gather(self.operator.force(response.piola))
         soft = support.transfer.T @ (self.floor @ (support.transfer @ unknowns))
-        return response, internal + soft
-
-    def _relative(self, force: ndarray, external: ndarray, rows: csr_array, multipliers: ndarray) -> float:
-        """Residual of the free components, relative to the forces in the step."""
+        force = support.gather(self.operator.force(response.piola)) + soft
         wall = rows.T @ multipliers
-        size = np.linalg.norm(force) + np.linalg.norm(external) + np.linalg.norm(wall)
-        residual = np.linalg.norm((force - external + wall)[self.support.free])
-        if not np.isfinite(residual):
-            return np.inf
-        return float(residual / size) if size > 0 else 0.0
+        unbalanced = np.linalg.norm((force - external + wall)[support.free])
+        size = self.force_before + sum(np.linalg.norm(part) for part in (force, external, wall))
+        noise = 1e-14 * np.linalg.norm(self.stiffness_scale * unknowns)    # all there is where nothing resists
+        residual = 0.0 if unbalanced <= noise else float(unbalanced / size)
+        return _Iterate(unknowns, multipliers, response, force, residual)
 
     def _linear_solve(self, stiffness: csr_array, force: ndarray, rows: csr_array,
                       values: ndarray) -> tuple[ndarray, ndarray]:
@@ -197,7 +202,7 @@ class Step:
 
     # -- afterwards --------------------------------------------------------------------------------------------------
 
-    def _reactions(self, force: ndarray, rows: csr_array, owner: list[tuple[str, int]]) -> dict[str, ndarray]:
+    def _reactions(self, force: ndarray, rows: csr_array, owner: list[tuple[str, int]]) -> Mapping[str, ndarray]:
         """Force of walls and planes on the body; ``force`` ends with the multipliers."""
         support, dim = self.support, self.particles.dim
         unbalanced, multipliers = np.split(force, [rows.shape[1]])
@@ -210,9 +215,12 @@ class Step:
                 on = plane.fixes(support.grid)[:, support.solved_nodes]
                 reactions.setdefault(plane.name, np.zeros(dim))[:] += (unbalanced * on).sum(axis=1)
                 unbalanced = np.where(on, 0, unbalanced)    # where planes meet, the first one takes the force
-        return reactions
+        for reaction in reactions.values():
+            reaction.flags.writeable = False
+        return MappingProxyType(reactions)
 
-    def _finish(self, u: ndarray, share: float, residuals: tuple[float, ...], reactions: dict[str, ndarray]) -> State:
+    def _finish(self, u: ndarray, share: float, residuals: tuple[float, ...],
+                reactions: Mapping[str, ndarray]) -> State:
         support, old = self.support, self.particles
         gradient = self.operator.gradient(u)
         ratio = self.motion.stretch(gradient)

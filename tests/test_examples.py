@@ -1,0 +1,190 @@
+"""Every example runs on its own, writes what it promises, and its numbers are the ones that the documentation quotes."""
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from skfem_mpm import METHODS
+from skfem_mpm.scenes.cylinder_reference import lame
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+WEIGHTS = {"quick": ["one", "interior"], "full": ["one", "eq10", "interior", "overlap"]}
+STEPS = {"quick": 10, "full": 50}
+
+
+def run(path, *arguments, cwd):
+    """Run an example in its own process, somewhere else; returns what it printed."""
+    done = subprocess.run([sys.executable, str(path), *arguments], cwd=cwd, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr and "RuntimeWarning" not in done.stderr, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Runs an example once: the folder of its results, and what it printed."""
+    done = {}
+
+    def once(path, kind):
+        if (path, kind) not in done:
+            cwd = tmp_path_factory.mktemp(path.stem)
+            printed = run(path, *(["--quick", "--out", "here"] if kind == "quick" else []), cwd=cwd)
+            done[path, kind] = cwd / ("here" if kind == "quick" else Path("results") / path.stem), printed
+        return done[path, kind]
+
+    return once
+
+
+@pytest.fixture(params=["quick", pytest.param("full", marks=pytest.mark.slow)])
+def cylinder(request, results):
+    """Which run of the cylinder, the folder of its results, and what it printed."""
+    return request.param, *results(ROOT / "examples" / "cylinder.py", request.param)
+
+
+def table(path):
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file))
+    return list(rows[0]), rows
+
+
+def columns(path):
+    """A table of numbers as arrays by column."""
+    names, rows = table(path)
+    return names, {name: np.array([float(row[name]) for row in rows]) for name in names}
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+def test_an_example_states_its_question_and_says_how_to_use_it(path, tmp_path):
+    assert path.read_text().startswith('"""') and "?" in path.read_text().splitlines()[0]
+    usage = run(path, "--help", cwd=tmp_path)
+    assert "--quick" in usage and "--out" in usage
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", ["quick", pytest.param("full", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+def test_an_example_runs_from_anywhere_and_writes_pictures_and_tables_there_only(path, kind, results):
+    out, printed = results(path, kind)
+    assert printed.strip()
+    assert {".png", ".csv"} <= {file.suffix for file in out.iterdir()}
+    cwd = out.parent if kind == "quick" else out.parents[1]
+    assert [file.name for file in cwd.iterdir()] == [out.relative_to(cwd).parts[0]]
+
+
+# The cylinder.
+
+def test_the_cylinder_writes_what_it_promises(cylinder):
+    _, out, printed = cylinder
+    promised = {f"{name}.{kind}" for name in ("fig4", "fig5", "fig5_incremental") for kind in ("png", "csv")}
+    assert {path.name for path in out.iterdir()} == promised | {"errors.csv"}
+    assert str(out.name) in printed
+
+
+@pytest.mark.parametrize("name", ["fig4", "fig5", "fig5_incremental"])
+def test_its_pictures_are_pictures(cylinder, name):
+    picture = imread(cylinder[1] / f"{name}.png")
+    assert min(picture.shape[:2]) > 500
+    grey = picture[..., :3].mean(axis=2)
+    assert 0.01 < (grey < 0.9).mean() < 0.7                # something is drawn, and not all black
+    coloured = np.ptp(picture[..., :3], axis=2) > 0.3
+    assert coloured.sum() > 1000                           # lines of methods
+
+
+def test_fig4_has_the_exact_curve_and_every_method(cylinder):
+    names, column = columns(cylinder[1] / "fig4.csv")
+    assert names == ["r", "exact", *METHODS]
+    r = column["r"]
+    assert (np.diff(r) > 0).all() and r[0] == pytest.approx(1, abs=1e-4) and r[-1] == pytest.approx(3, abs=1e-4)
+    np.testing.assert_allclose(column["exact"], lame(r, 25e6, 0.3, 1.0, 3.0, 0.015)[1][0], rtol=1e-9)
+
+
+def test_fig4_shows_the_errors_of_one_step(cylinder):
+    _, column = columns(cylinder[1] / "fig4.csv")
+    interior = (column["r"] > 1.1) & (column["r"] < 2.9)
+    scale = np.abs(column["exact"]).max()
+    error = {method: np.abs(column[method] - column["exact"])[interior] / scale for method in METHODS}
+    assert error["mpm"].max() == pytest.approx(0.094, abs=0.002)
+    assert error["gimp"].max() == pytest.approx(0.046, abs=0.002)
+    assert error["cmpm"].max() <= 0.002 and error["gc"].max() <= 0.002
+
+
+@pytest.mark.parametrize("name, last", [("fig5", 14.2886e6), ("fig5_incremental", 14.4390e6)])
+def test_fig5_has_the_reference_and_every_method_with_every_weights(cylinder, name, last):
+    """The reference starts at 244 to 246 kPa; after 50 steps it is what finite deformation or Lame's increments give."""
+    kind, out, _ = cylinder
+    names, column = columns(out / f"{name}.csv")
+    assert names == ["step", "reference", *(f"{method}[{weights}]" for weights in WEIGHTS[kind] for method in METHODS)]
+    assert column["step"].tolist() == list(range(1, STEPS[kind] + 1))
+    assert column["reference"][0] == pytest.approx(245e3, rel=5e-3)
+    if kind == "full":
+        assert column["reference"][-1] == pytest.approx(last, rel=1e-4)
+    for method in METHODS:
+        q = column[f"{method}[one]"]
+        assert np.isfinite(q).all()
+        assert q[0] == pytest.approx(column["reference"][0], rel=0.1)
+
+
+def test_errors_have_a_row_for_every_combination(cylinder):
+    kind, out, _ = cylinder
+    names, rows = table(out / "errors.csv")
+    assert names == ["method", "weights", "integration", "scheme", "step", "status", "error_point", "error_all",
+                     "error_inner", "seconds"]
+    found = [(row["scheme"], row["weights"], row["method"]) for row in rows]
+    assert sorted(found) == sorted((scheme, weights, method) for scheme in ("equilibrated", "incremental")
+                                   for weights in WEIGHTS[kind] for method in METHODS)
+    for row in rows:
+        assert row["integration"] == "points" and float(row["seconds"]) > 0
+        if row["weights"] != "eq10":
+            assert row["status"] == "finished"
+        if row["status"] == "finished":
+            assert int(row["step"]) == STEPS[kind]
+            assert 0 <= float(row["error_inner"]) < 1 and 0 <= float(row["error_point"]) < 1
+        else:
+            assert row["status"].startswith("stopped: step ")
+
+
+def test_errors_are_those_of_the_curves(cylinder):
+    """error_point is |q - q_ref| of the followed point over the largest q_ref of that step: at most so much of q_ref."""
+    kind, out, _ = cylinder
+    _, rows = table(out / "errors.csv")
+    for scheme, name in [("equilibrated", "fig5"), ("incremental", "fig5_incremental")]:
+        _, column = columns(out / f"{name}.csv")
+        ratios = []
+        for row in rows:
+            if row["scheme"] == scheme and row["status"] == "finished":
+                q = column[f"{row['method']}[{row['weights']}]"]
+                ratios.append(np.abs(q - column["reference"])[-1] / float(row["error_point"]))
+        np.testing.assert_allclose(ratios, ratios[0], rtol=1e-6)         # one scale for all: the step's largest q
+        assert ratios[0] > column["reference"][-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cylinder", ["full"], indirect=True)
+def test_fifty_steps_are_as_wrong_as_they_should_be(cylinder):
+    _, rows = table(cylinder[1] / "errors.csv")
+    error = {(row["scheme"], row["weights"], row["method"]): row for row in rows}
+    assert 0.05 < float(error["equilibrated", "one", "mpm"]["error_all"]) < 0.25
+    assert float(error["equilibrated", "overlap", "gc"]["error_all"]) < 0.01
+    for method, bound in [("gimp", 0.01), ("gc", 0.01), ("mpm", 0.03), ("cmpm", 0.03)]:
+        assert float(error["incremental", "one", method]["error_point"]) < bound
+
+
+def test_the_answer_names_every_method_and_the_folder(cylinder):
+    _, out, printed = cylinder
+    for method in METHODS:
+        assert method in printed
+    assert "equilibrated" in printed and "incremental" in printed
+    assert printed.rstrip().endswith(f"{out.name}.")
+
+
+def test_unknown_options_are_refused(tmp_path):
+    done = subprocess.run([sys.executable, str(ROOT / "examples" / "cylinder.py"), "--fast"], cwd=tmp_path,
+                          capture_output=True, text=True)
+    assert done.returncode == 2 and "unrecognized arguments: --fast" in done.stderr
+    assert not list(tmp_path.iterdir())
