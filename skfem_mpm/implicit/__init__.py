@@ -101,7 +101,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     if not (isinstance(steps, Integral) and steps >= 1):
         raise ValueError(f"steps: got {steps}, expected a whole number of at least 1.")
     if not (hasattr(material, "update") and hasattr(material, "tangent")):
-        raise TypeError(f"material: got {type(material).__name__}, expected a law such as LinearElastic(E=1e6, nu=0.3).")
+        raise TypeError(f"material: got {type(material).__name__}, expected a law such as LinearElastic.")
     state = start if isinstance(start, State) else _initial(start, tuple(boundary))
     load = gravity if callable(gravity) else lambda step: gravity
     return _run(mesh, state, material, options, int(steps), load, max_cuts)

@@ -33,8 +33,8 @@ def solve_constrained(solver: Solver, stiffness: csr_array, force: ndarray, rows
     try:
         solution = np.asarray(solver(system, rhs))
     except (RuntimeError, ArithmeticError, np.linalg.LinAlgError) as failure:
-        raise NotConvergedError(f"solver: {failure}; some part of the body may be held by nothing: add a FixedPlane or a "
-                                "Wall, keep the soft floor above zero, or use another solver.") from failure
+        raise NotConvergedError(f"solver: {failure}; some part of the body may be held by nothing: add a FixedPlane or "
+                                "a Wall, keep the soft floor above zero, or use another solver.") from failure
     error = np.linalg.norm(system @ solution - rhs) if solution.shape == rhs.shape else np.inf
     if not error <= 1e-6 * np.linalg.norm(rhs):
         raise NotConvergedError(f"solver: got a linear residual of {error:.1e}, expected at most 1e-6 of "
