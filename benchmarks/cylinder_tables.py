@@ -195,7 +195,7 @@ def table_grid(quick):
 
 
 def table_domains(quick):
-    """GIMP domains of fixed size, as in the library, or stretched; and the share of mass below which a node is slaved."""
+    """Domains of GIMP of fixed size, as in the library, or stretched; and the share of mass that makes a node light."""
     marks = [1, 5, 10] if quick else [1, 10, 20, 30, 40, 50]
     rows, default = [], support.CUTOFF
     for method in ("gimp", "gc"):

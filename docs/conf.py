@@ -42,6 +42,31 @@ doctest_test_doctest_blocks = ""        # pytest runs the docstrings; pages have
 ROOMS = ["scenes", "study", "stability", "boundary", "integration", "weights", "materials", "shapes", "output", "plot"]
 
 
+# Public names that are neither classes nor functions: autodoc would show the text of their class, or none.
+DATA = {
+    "METHODS": "The methods by name, a dict of :class:`Method`: which basis maps mass and motion, which recovers "
+               "strain, which carries internal force.",
+    "axisymmetric": "Axial symmetry, on quads (r, z) or on lines (r only): a hoop strain, and volumes per radian.",
+    "plane_strain": "Plane strain, on quads and triangles.",
+    "solid": "Three dimensions, on hexes and tetrahedra.",
+    "uniaxial": "One dimension, on lines: strain and stress along it.",
+}
+
+
+def data(name):
+    """The directive that documents a public instance."""
+    thing = getattr(skfem_mpm, name)
+    lines = [f".. py:data:: {name}", f"   :type: {type(thing).__name__}", "", f"   {DATA[name]}", ""]
+    if isinstance(thing, dict):
+        rows = [(entry.mass, entry.strain, entry.force) for entry in thing.values()]
+        lines += ["   .. list-table::", "      :header-rows: 1", "", "      * - name", "        - mass and motion",
+                  "        - strain", "        - force"]
+        for key, bases in zip(thing, rows):
+            lines += [f"      * - ``{key}``"] + [f"        - :class:`{basis.__name__}`" for basis in bases]
+        lines.append("")
+    return "\n".join(lines)
+
+
 def automodule(name, exclude=()):
     """The directive that documents a module: what its ``__all__`` lists, else what it defines."""
     module = importlib.import_module(name)
@@ -57,9 +82,12 @@ def automodule(name, exclude=()):
 def api_page():
     """The API page, from what the package really has."""
     public = sorted(skfem_mpm.__all__, key=str.lower)
+    instances = [name for name in public if not callable(getattr(skfem_mpm, name))]
+    listed = [name for name in public if name not in instances]
     parts = ["API\n===\n\n.. currentmodule:: skfem_mpm\n",
-             ".. autosummary::\n   :nosignatures:\n\n" + "\n".join(f"   {name}" for name in public) + "\n",
-             "skfem_mpm\n---------\n", automodule("skfem_mpm")]
+             ".. autosummary::\n   :nosignatures:\n\n" + "\n".join(f"   {name}" for name in listed) + "\n",
+             "Ready-made objects: " + ", ".join(f":py:data:`{name}`" for name in instances) + ".\n",
+             "skfem_mpm\n---------\n", automodule("skfem_mpm", exclude=instances), *map(data, instances)]
     for room in ROOMS:
         name = f"skfem_mpm.{room}"
         if find_spec(name):

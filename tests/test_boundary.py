@@ -1,4 +1,4 @@
-"""Planes hold where grid lines are, walls push where they are, and what they push with is reported to the last digit."""
+"""Planes hold where grid lines are, walls push where they are, and their forces are reported to the last digit."""
 
 import numpy as np
 import pytest
@@ -207,7 +207,8 @@ def balance(state, weight):
 def test_a_bar_between_a_plane_and_a_wall_is_in_balance(method, steps, material):
     mesh, body = boxed(1)
     boundary = [FixedPlane(0, 0.0, -1, name="base"), Wall(np.array([[0.97]]), (-0.007,), name="piston")]
-    *_, state = implicit_steps(mesh, body, material, boundary, steps=steps, method=method, gravity=(-0.5,), tolerance=1e-13)
+    *_, state = implicit_steps(mesh, body, material, boundary, steps=steps, method=method, gravity=(-0.5,),
+                               tolerance=1e-13)
     assert balance(state, [-0.5]) < 1e-11                         # the mass is 1
     assert state.reactions["base"][0] > 0 > state.reactions["piston"][0]
 
@@ -229,7 +230,8 @@ def test_two_planes_that_share_an_edge_do_not_count_its_force_twice(method):
     mesh, body = boxed(2)
     boundary = [FixedPlane(0, 0.0, -1, components=(0, 1), name="left"),
                 FixedPlane(1, 0.0, -1, components=(0, 1), name="base")]
-    state = next(implicit_steps(mesh, body, LAW, boundary, steps=1, method=method, gravity=(1.0, -2.0), tolerance=1e-12))
+    state = next(implicit_steps(mesh, body, LAW, boundary, steps=1, method=method, gravity=(1.0, -2.0),
+                                tolerance=1e-12))
     assert balance(state, (1.0, -2.0)) < 1e-10
 
 
@@ -240,10 +242,22 @@ def test_the_weight_of_a_box_is_carried_by_its_base():
     assert_allclose(state.reactions["base"], -body.mass.sum() * np.array([0.1, 0.2, -2.0]), rtol=1e-10)
 
 
+@pytest.mark.parametrize("scheme, strain", [("equilibrated", "small"), ("incremental", "small"),
+                                            ("equilibrated", "logarithmic")])
+@pytest.mark.parametrize("steps", [1, 3])
+def test_reactions_are_those_of_the_whole_load_not_of_the_last_step(scheme, strain, steps):
+    """A state says what pushes now, whichever scheme made it."""
+    mesh, body = boxed(1)
+    *_, state = implicit_steps(mesh, body, LAW, [FixedPlane(0, 0.0, -1, name="base")], steps=steps, scheme=scheme,
+                               strain=strain, gravity=lambda step: (-1e-6 * step / steps,), tolerance=1e-12)
+    assert state.reactions["base"][0] == pytest.approx(1e-6, rel=1e-4)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_every_wall_and_plane_answers_under_its_own_name(method):
     mesh, body = boxed(1)
-    walls = [Wall(np.array([[x]]), (push,), name=name) for x, push, name in [(0.06, 0.001, "low"), (0.94, -0.001, "high")]]
+    walls = [Wall(np.array([[x]]), (push,), name=name)
+             for x, push, name in [(0.06, 0.001, "low"), (0.94, -0.001, "high")]]
     state = next(implicit_steps(mesh, body, LAW, walls, steps=1, method=method))
     assert list(state.reactions) == ["low", "high"]
     assert state.reactions["low"][0] == pytest.approx(-state.reactions["high"][0], rel=1e-9)

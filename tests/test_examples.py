@@ -1,4 +1,4 @@
-"""Every example runs on its own, writes what it promises, and its numbers are the ones that the documentation quotes."""
+"""Every example runs on its own, writes what it promises, and its numbers are those that the documentation quotes."""
 
 import csv
 import subprocess
@@ -116,7 +116,7 @@ def test_fig4_shows_the_errors_of_one_step(cylinder):
 
 @pytest.mark.parametrize("name, last", [("fig5", 14.2886e6), ("fig5_incremental", 14.4390e6)])
 def test_fig5_has_the_reference_and_every_method_with_every_weights(cylinder, name, last):
-    """The reference starts at 244 to 246 kPa; after 50 steps it is what finite deformation or Lame's increments give."""
+    """The reference starts at 245 kPa; after 50 steps it is what finite deformation or Lame's increments give."""
     kind, out, _ = cylinder
     names, column = columns(out / f"{name}.csv")
     assert names == ["step", "reference", *(f"{method}[{weights}]" for weights in WEIGHTS[kind] for method in METHODS)]
@@ -150,7 +150,7 @@ def test_errors_have_a_row_for_every_combination(cylinder):
 
 
 def test_errors_are_those_of_the_curves(cylinder):
-    """error_point is |q - q_ref| of the followed point over the largest q_ref of that step: at most so much of q_ref."""
+    """error_point is |q - q_ref| of the followed point over the largest q_ref of that step."""
     kind, out, _ = cylinder
     _, rows = table(out / "errors.csv")
     for scheme, name in [("equilibrated", "fig5"), ("incremental", "fig5_incremental")]:

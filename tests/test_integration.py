@@ -1,4 +1,4 @@
-"""The sparse operators of a solver are scikit-fem's own forms on points; and what supports a body in a step is sound."""
+"""The sparse operators of a solver are scikit-fem's own forms on points; what supports a body in a step is sound."""
 
 from dataclasses import replace
 
@@ -53,7 +53,8 @@ class Scene:
                                    length=random.uniform(0.02, 0.19, (dim, n)))
         self.force, self.strain = (getattr(METHODS[method], part)(self.mesh, self.elem, self.particles)
                                    for part in ("force", "strain"))
-        self.operator = PointIntegration(kinematics, self.force.stencil, self.strain.stencil, self.particles.volume, x[0])
+        self.operator = PointIntegration(kinematics, self.force.stencil, self.strain.stencil, self.particles.volume,
+                                         x[0])
         self.rows = kinematics.rows(dim)
         self.dofs = self.force.nodal_dofs[:, Grid.from_mesh(self.mesh).vertices.ravel()]    # (dim, nodes of the grid)
 
@@ -155,7 +156,8 @@ def test_many_points_are_handled_piece_by_piece_without_seams(method):
 
 @every_motion
 @every_method
-@pytest.mark.parametrize("law", [LinearElastic(E=2.0, nu=0.3), Hencky(E=2.0, nu=0.3)], ids=lambda law: type(law).__name__)
+@pytest.mark.parametrize("law", [LinearElastic(E=2.0, nu=0.3), Hencky(E=2.0, nu=0.3)],
+                         ids=lambda law: type(law).__name__)
 def test_the_tangent_is_the_derivative_of_the_force(kinematics, dim, method, law):
     """Also at large strain and on prestrained points: with stress relative to the start there is no geometric term."""
     scene = Scene(kinematics, dim, method)
@@ -207,7 +209,8 @@ def test_conjugate_pairs_do_the_same_work_at_nodes_and_points(kinematics, dim, m
 def test_conjugate_pairs_and_a_stored_energy_make_symmetric_stiffness(kinematics, dim, method):
     scene = Scene(kinematics, dim, method)
     law, zero = Hencky(E=2.0, nu=0.3), np.zeros((kinematics.ncomp, scene.particles.n))
-    moduli = Logarithmic(kinematics, dim, law, zero, None).respond(scene.operator.gradient(0.01 * scene.nodal())).tangent()
+    gradient = scene.operator.gradient(0.01 * scene.nodal())
+    moduli = Logarithmic(kinematics, dim, law, zero, None).respond(gradient).tangent()
     size = scene.dofs.size
     stiffness = scene.operator.tangent(moduli, np.arange(size).reshape(-1, dim).T, size).toarray()
     assert_allclose(stiffness, stiffness.T, atol=1e-13 * np.abs(stiffness).max())

@@ -81,7 +81,8 @@ def test_the_tangent_is_the_derivative_of_the_update(Law, kinematics, dim):
     change[:] = 0
     for row, (i, j) in zip(gradient, places):
         change[kinematics.packed_index((i, j))] += row if i == j else row / 2
-    moved = law.update(strain + change, stress, kinematics.components) - law.update(strain, stress, kinematics.components)
+    before, after = (law.update(e, stress, kinematics.components) for e in (strain, strain + change))
+    moved = after - before
     expected = np.stack([moved[kinematics.packed_index(place)] for place in places])
     tangent = np.broadcast_to(law.tangent(strain, stress, places), (len(places), len(places), 5))
     assert_allclose(np.einsum("qrn,rn->qn", tangent, gradient), expected, atol=1e-14)

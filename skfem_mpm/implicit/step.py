@@ -207,7 +207,8 @@ class Step:
         support, dim = self.support, self.particles.dim
         unbalanced, multipliers = np.split(force, [rows.shape[1]])
         unbalanced = (unbalanced + rows.T @ multipliers).reshape(-1, dim).T
-        reactions: dict[str, ndarray] = {}
+        grows = self.options.scheme == "incremental"            # there each step only knows what it adds
+        reactions = {name: grows * before for name, before in self.state.reactions.items()}
         for (name, component), multiplier in zip(owner, multipliers):
             reactions.setdefault(name, np.zeros(dim))[component] -= multiplier
         for plane in self.state.boundary:
