@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import MeshHex, MeshLine, MeshQuad, MeshTri
+from skfem import ElementQuad1, ElementVector, MeshHex, MeshLine, MeshQuad, MeshTri
 from skfem.utils import solver_direct_scipy, solver_iter_pcg
 
 from skfem_mpm import (
@@ -579,6 +579,20 @@ def test_mass_is_never_touched_and_volume_follows_the_stretch(method):
     assert_array_equal(state.particles.mass, body.mass)
     strain = state.particles.epsilon
     assert_allclose(state.particles.volume, body.volume * np.exp(strain[:3].sum(axis=0)), rtol=1e-12)
+
+
+@every_scheme
+@every_method
+def test_points_move_with_the_functions_that_map_their_mass(method, scheme):
+    """Not with those that recover strain: CMPM's are for strain only."""
+    mesh, body = boxed(2)
+    moved = replace(body, x=body.x + 0.02 * np.random.default_rng(0).uniform(-1, 1, body.x.shape))
+    state = next(block(method, scheme=scheme, start=moved))
+    basis = METHODS[method].mass(mesh, ElementVector(ElementQuad1()), moved)
+    nodal = np.zeros(basis.N)
+    nodal[basis.nodal_dofs] = state.displacement
+    expected = moved.x + np.asarray(basis.interpolate(nodal))[..., 0]
+    assert_allclose(state.particles.x, expected, rtol=1e-13)
 
 
 def test_own_fields_travel_with_the_points():

@@ -328,6 +328,20 @@ def test_nodes_behind_a_fixed_plane_are_slaved_and_those_on_it_are_fixed():
     assert_array_equal(free, ~support.fixed[:, support.solved_nodes])
 
 
+@every_method
+def test_a_step_sees_only_the_grid_around_the_body(method):
+    """So a body in a mesh of a hundred times its size costs no more."""
+    sizes = []
+    for spare in (3, 30):
+        axis = 0.1 * np.arange(-spare, 6 + spare)
+        mesh = MeshQuad.init_tensor(axis, axis)
+        body = Particles.fill(mesh, plane_strain, where=lambda x: (x > 0).all(axis=0) & (x < 0.5).all(axis=0))
+        support = Support(mesh, body, METHODS[method], "ghost", [])
+        assert_array_equal(mesh.p[:, support.grid.vertices.ravel()], positions(support.grid))
+        sizes.append(support.grid.nnodes)
+    assert sizes[0] == sizes[1] <= 10 * 10
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_ten_times_more_empty_mesh_changes_nothing(method):
     """A body costs what it is, wherever in a mesh it stands."""

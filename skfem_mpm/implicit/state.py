@@ -30,8 +30,8 @@ class State:
     displacement
         ``(dim, nvertices)``; nodal displacement of the last step (of its last part if it was cut), on the mesh.
     reactions
-        Force of each named wall and plane on the body, ``(dim,)``; per radian in axial symmetry.  The incremental scheme
-        knows what each step adds, and reports the sum.
+        Force of each named wall and plane on the body, ``(dim,)``; per radian in axial symmetry.  The incremental
+        scheme knows what each step adds, and reports the sum.
     residuals
         Relative residual after each Newton pass of the last step; empty for the incremental scheme.
     cuts
