@@ -1,6 +1,7 @@
 """Load steps end in equilibrium, exactly where theory says so, or stop and say why."""
 
 import inspect
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -558,6 +559,15 @@ def test_reactions_of_a_snapshot_are_read_only():
         state.reactions["base"][0] = 1.0
     with pytest.raises(TypeError):
         state.reactions["base"] = np.zeros(2)
+
+
+def test_a_snapshot_survives_pickling_and_goes_on_the_same():
+    state = next(block())
+    again = pickle.loads(pickle.dumps(state))
+    same(again, state)
+    with pytest.raises(ValueError, match="read-only"):
+        again.reactions["base"][0] = 1.0
+    same(next(block(start=again)), next(block(start=state)))
 
 
 HELD = {"x", "volume", "mass", "sigma"}

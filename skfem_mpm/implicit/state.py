@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
 from typing import Any
 
 from numpy import ndarray
@@ -49,6 +50,16 @@ class State:
     cuts: int = 0
     scheme: str = ""
     _recovery: Any = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for reaction in self.reactions.values():
+            reaction.flags.writeable = False
+        object.__setattr__(self, "reactions", MappingProxyType(dict(self.reactions)))
+
+    def __reduce__(self) -> tuple:
+        # A mapping proxy cannot be pickled.
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return type(self), tuple({**values, "reactions": dict(self.reactions)}.values())
 
     def recover(self, x: ndarray, length: ndarray | None = None) -> ndarray:
         """Stress increment of the last step at any positions in the body, ``(ncomp, n)``.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -202,7 +201,7 @@ class Step:
 
     # -- afterwards --------------------------------------------------------------------------------------------------
 
-    def _reactions(self, force: ndarray, rows: csr_array, owner: list[tuple[str, int]]) -> Mapping[str, ndarray]:
+    def _reactions(self, force: ndarray, rows: csr_array, owner: list[tuple[str, int]]) -> dict[str, ndarray]:
         """Force of walls and planes on the body; ``force`` ends with the multipliers."""
         support, dim = self.support, self.particles.dim
         unbalanced, multipliers = np.split(force, [rows.shape[1]])
@@ -216,12 +215,10 @@ class Step:
                 on = plane.fixes(support.grid)[:, support.solved_nodes]
                 reactions.setdefault(plane.name, np.zeros(dim))[:] += (unbalanced * on).sum(axis=1)
                 unbalanced = np.where(on, 0, unbalanced)    # where planes meet, the first one takes the force
-        for reaction in reactions.values():
-            reaction.flags.writeable = False
-        return MappingProxyType(reactions)
+        return reactions
 
     def _finish(self, u: ndarray, share: float, residuals: tuple[float, ...],
-                reactions: Mapping[str, ndarray]) -> State:
+                reactions: dict[str, ndarray]) -> State:
         support, old = self.support, self.particles
         gradient = self.operator.gradient(u)
         ratio = self.motion.stretch(gradient)
