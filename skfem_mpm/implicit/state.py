@@ -52,8 +52,8 @@ class State:
     _recovery: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        for reaction in self.reactions.values():
-            reaction.flags.writeable = False
+        for array in (self.displacement, *self.reactions.values()):
+            array.flags.writeable = False
         object.__setattr__(self, "reactions", MappingProxyType(dict(self.reactions)))
 
     def __reduce__(self) -> tuple:

@@ -229,7 +229,6 @@ class Step:
                             sigma=response.sigma, epsilon=response.epsilon)
         displacement = np.zeros((old.dim, self.mesh.nvertices))
         displacement[:, support.grid.vertices.ravel()] = u
-        displacement.flags.writeable = False
         boundary = tuple(item.advanced(share) for item in self.state.boundary)
         support.release()
         recovery = _Recovery(support, u, self.material, self.options, old.kinematics)
