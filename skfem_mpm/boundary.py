@@ -145,9 +145,14 @@ class Wall:
         """The cell whose functions each wall point uses."""
         grid = support.grid
         try:
-            cell = grid.locate(self.x)
+            support.full.locate(self.x)
         except OutsideGridError as error:
             raise OutsideGridError(f"wall {self.name!r}: {error}") from None
+        try:
+            cell = grid.locate(self.x)
+        except OutsideGridError:
+            raise ValueError(f"wall {self.name!r}: got points more than two cells away from the body, which is within "
+                             f"{grid.extent}; expected a wall that touches it.") from None
         lost = np.flatnonzero(~support.holds(cell))
         if len(lost):
             sound = support.sound_cells()

@@ -40,7 +40,7 @@ class Support:
     """
 
     def __init__(self, mesh: Any, particles: Particles, method: Method, edges: Edges, boundary: Sequence[Any]):
-        full = Grid.from_mesh(mesh)
+        self.full = full = Grid.from_mesh(mesh)
         self.method = method
         self.edges = edges
         self.particles = particles

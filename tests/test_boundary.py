@@ -157,6 +157,15 @@ def test_a_wall_off_the_grid_is_named(method, x, increment):
         next(implicit_steps(mesh, body, LAW, [wall], steps=1, method=method))
 
 
+def test_a_wall_on_the_grid_but_far_from_the_body_is_not_said_to_be_off_the_grid():
+    """A larger mesh, which is what a wall off the grid needs, would not help."""
+    mesh = MeshLine(np.arange(-40, 41) * 0.125)
+    body = Particles.fill(mesh, uniaxial, where=lambda x: (x[0] > 0) & (x[0] < 1))
+    boundary = [FixedPlane(0, 0.0, -1), Wall(np.array([[3.0]]), (0.1,), name="piston")]
+    with pytest.raises(ValueError, match="wall 'piston'.*body"):
+        next(implicit_steps(mesh, body, LAW, boundary, steps=1))
+
+
 @pytest.mark.parametrize("method", ["mpm", "gimp", "cmpm"])
 def test_a_wall_that_leaves_the_grid_on_its_way_stops_the_run(method):
     """It stretches a bar that ends a cell before it, 0.02 per step from 0.03 before the end of the grid."""
