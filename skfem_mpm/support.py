@@ -30,7 +30,8 @@ class Support:
     sides
         Which neighbours patches may reach into, see :func:`skfem_mpm.grid.available_sides`.
     solved
-        ``(nnodes,)``; nodes that are unknown or fixed.
+        ``(nnodes,)``; nodes that are unknown or fixed: active ones of occupied cells.  Others that points may read are
+        slaved to them.
     number
         ``(dim, nnodes)``; place of each component among the unknowns of all solved and slaved nodes, -1 for none.
     transfer
@@ -58,7 +59,7 @@ class Support:
         active = (self.mass > CUTOFF * self.mass.max()) & ~np.any(behind, axis=0)
         self.sides = available_sides(self.occupied, active.reshape(self.grid.vertices.shape))
         reached = self._touched(self.stencil(method.strain))
-        self.solved = active & reached
+        self.solved = active & reached & self._corners(self.occupied)
         self._slave(reached | self._touched(self.stencil(method.force)) | self._felt())
 
     def stencil(self, basis: type[ParticleBasis], x: ndarray | None = None, length: ndarray | None = None) -> Stencil:
@@ -88,9 +89,13 @@ class Support:
 
     def _felt(self) -> ndarray:
         """Nodes the mapping may read anywhere in the occupied cells: of these, and of their neighbours for domains."""
-        cells = np.pad(self.occupied, 1)
         if self.method.mass.reads_domains:
-            cells = binary_dilation(cells, np.ones((3,) * cells.ndim))
+            return self._corners(binary_dilation(self.occupied, np.ones((3,) * self.occupied.ndim)))
+        return self._corners(self.occupied)
+
+    def _corners(self, cells: ndarray) -> ndarray:
+        """Nodes of some cells, ``(nnodes,)``, from a mask over all cells."""
+        cells = np.pad(cells, 1)
         shape: tuple[int, ...] = self.grid.vertices.shape
         nodes = np.zeros(shape, dtype=bool)
         for corner in itertools.product((0, 1), repeat=cells.ndim):
