@@ -25,7 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from tqdm import tqdm
 
-from skfem_mpm import METHODS, NotConvergedError
+from skfem_mpm import METHODS, NotConvergedError, OutsideGridError
 from skfem_mpm.scenes import cylinder
 from skfem_mpm.scenes.cylinder_reference import deviatoric, lame
 
@@ -89,7 +89,7 @@ for scheme, weights, method in tqdm([(s, w, m) for s in STRAIN for w in choices 
     try:
         for state in scene.run(method, steps=steps, weights=weights, scheme=scheme, strain=STRAIN[scheme]):
             q.append(deviatoric(state.particles.sigma)[scene.followed])
-    except NotConvergedError as failure:
+    except (NotConvergedError, OutsideGridError) as failure:
         status = f"stopped: {failure}"
     seconds = time.perf_counter() - begin
     found = scene.errors(state) if state else dict.fromkeys(["point", "all", "inner"], np.nan)

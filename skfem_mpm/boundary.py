@@ -17,7 +17,7 @@ from .grid import Grid
 class FixedPlane:
     """A plane on a grid line where displacement components are zero.
 
-    Nodes behind it, which GIMP domains may touch, are mirrored: they follow the body.
+    Nodes behind it, which GIMP domains may touch, follow the body: u_g = 2 u_0 - u_1.
 
     Parameters
     ----------
@@ -35,7 +35,8 @@ class FixedPlane:
     Raises
     ------
     ValueError
-        If the plane is not on a grid line of the mesh.
+        If ``side`` is neither +1 nor -1; and in a run, if the plane is not on a grid line of the mesh, has an axis or
+        components that the mesh has not, or has points of the body behind it.
 
     Examples
     --------
@@ -55,26 +56,42 @@ class FixedPlane:
         if not self.components:
             object.__setattr__(self, "components", (self.axis,))
 
-    def _distance(self, grid: Grid) -> ndarray:
-        """How far each node lies behind the plane, in cells of its own axis; zero on it."""
-        axis = grid.axes[self.axis]
-        distance = self.side * (axis - self.at) / np.diff(axis).min()
-        distance[np.abs(distance) < 1e-9] = 0
-        if axis[0] < self.at < axis[-1] and not (distance == 0).any():
+    def check(self, grid: Grid, x: ndarray) -> None:
+        """Refuse a plane that does not fit the grid of a mesh, or has points ``x (dim, n)`` behind it."""
+        if not all(0 <= k < grid.dim for k in (self.axis, *self.components)):
+            raise ValueError(f"plane {self.name!r}: got axis {self.axis} and components {self.components} on a mesh in "
+                             f"{grid.dim} dimension(s), expected numbers from 0 to {grid.dim - 1}.")
+        lines = grid.axes[self.axis]
+        if not np.isfinite(self.at) or (lines[0] < self.at < lines[-1] and not (self._distance(lines) == 0).any()):
             raise ValueError(f"at: got a fixed plane {self.name!r} at {self.at}, which is no grid line of axis "
                              f"{self.axis}; move the grid so that one lies there.")
+        behind = self.side * (x[self.axis] - self.at) > 1e-9 * np.diff(lines).min()
+        if behind.any():
+            point = int(np.flatnonzero(behind)[0])
+            raise ValueError(f"plane {self.name!r}: got point {point} at {x[self.axis, point]:g} along axis "
+                             f"{self.axis}, behind the plane at {self.at:g}; expected all points on one side.  Check "
+                             f"side={self.side} (+1: the body is below the plane), or take smaller steps.")
+
+    def _distance(self, lines: ndarray) -> ndarray:
+        """How far each grid line of its axis lies behind the plane, in cells; zero on it."""
+        distance = self.side * (lines - self.at) / np.diff(lines).min()
+        distance[np.abs(distance) < 1e-9] = 0
+        return distance
+
+    def _spread(self, mask: ndarray, grid: Grid) -> ndarray:
+        """A mask over the lines of its axis as one over all nodes."""
         shape = [1] * grid.dim
         shape[self.axis] = -1
-        return np.broadcast_to(distance.reshape(shape), grid.vertices.shape).ravel()
+        return np.broadcast_to(mask.reshape(shape), grid.vertices.shape).ravel()
 
     def fixes(self, grid: Grid) -> ndarray:
         """Which components of which nodes are zero, ``(dim, nnodes)``."""
-        on = self._distance(grid) == 0
+        on = self._spread(self._distance(grid.axes[self.axis]) == 0, grid)
         return np.stack([on & (i in self.components) for i in range(grid.dim)])
 
     def behind(self, grid: Grid) -> ndarray:
         """Which nodes lie behind it, ``(nnodes,)``."""
-        return self._distance(grid) > 0
+        return self._spread(self._distance(grid.axes[self.axis]) > 0, grid)
 
     def advanced(self, share: float) -> FixedPlane:
         """The plane after a share of a load step: itself."""
@@ -114,6 +131,9 @@ class Wall:
     name: str = "wall"
 
     def __post_init__(self) -> None:
+        if not all(step is None or np.isfinite(step) for step in self.increment):
+            raise ValueError(f"increment: got {self.increment} for wall {self.name!r}, expected finite numbers, or "
+                             "None for components that are free.")
         x = check_array("wall", self.x, (len(self.increment), None)).copy()
         x.flags.writeable = False
         object.__setattr__(self, "x", x)
@@ -148,15 +168,22 @@ class Wall:
             support.full.locate(self.x)
         except OutsideGridError as error:
             raise OutsideGridError(f"wall {self.name!r}: {error}") from None
-        try:
-            cell = grid.locate(self.x)
-        except OutsideGridError:
-            raise ValueError(f"wall {self.name!r}: got points more than two cells away from the body, which is within "
-                             f"{grid.extent}; expected a wall that touches it.") from None
-        lost = np.flatnonzero(~support.holds(cell))
-        if len(lost):
-            sound = support.sound_cells()
-            middle = np.stack([((grid.axes[k][1:] + grid.axes[k][:-1]) / 2)[sound[k]] for k in range(grid.dim)])
-            for p in lost:
-                cell[:, p] = sound[:, np.argmin(((middle - self.x[:, p, None]) ** 2).sum(axis=0))]
+        low, high = ([axis[end] for axis in grid.axes] for end in (0, -1))
+        cell = grid.locate(np.clip(self.x, np.reshape(low, (-1, 1)), np.reshape(high, (-1, 1))))
+        lost, sound = np.flatnonzero(~support.holds(cell)), support.sound_cells()
+        middle = np.stack([((grid.axes[k][1:] + grid.axes[k][:-1]) / 2)[sound[k]] for k in range(grid.dim)])
+        for p in lost:
+            cell[:, p] = sound[:, np.argmin(((middle - self.x[:, p, None]) ** 2).sum(axis=0))]
+        self._check_near(grid, cell)
         return cell
+
+    def _check_near(self, grid: Grid, cell: ndarray) -> None:
+        """Refuse a wall that does not touch the body."""
+        low = np.stack([grid.axes[k][cell[k]] for k in range(grid.dim)])
+        step = np.stack([grid.steps[k][cell[k]] for k in range(grid.dim)])
+        far = ((self.x < low - step) | (self.x > low + 2 * step)).any(axis=0)
+        if far.any():
+            point = int(np.flatnonzero(far)[0])
+            place = ", ".join(f"{value:g}" for value in self.x[:, point])
+            raise ValueError(f"wall {self.name!r}: got point {point} at ({place}), more than a cell away from the "
+                             "body; expected a wall that touches the body.")

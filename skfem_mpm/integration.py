@@ -84,14 +84,16 @@ class PointIntegration:
         On a tensor grid a node couples to neighbours within a fixed reach, so each pair of nodes has a place in a dense
         table *column node x offset of the row node*: sums need no search and no sorting.
         """
-        reach = self._reach()
-        offsets = (2 * reach + 1) ** self.dim
-        table = np.zeros((self.dim, self.dim, number.shape[1] * offsets))
+        reach, dim = self._reach(), self.dim
+        known = np.flatnonzero(number[0] >= 0)
+        compact = np.full(number.shape[1], len(known))    # nodes without unknowns share one column, dropped after
+        compact[known] = np.arange(len(known))
+        table = np.zeros((dim, dim, (len(known) + 1) * (2 * reach + 1) ** dim))
         for part in self._pieces():
-            slot = self._slots(part, reach)
+            slot = self._slots(part, reach, compact)
             for k, i, values in self._pairs(moduli, part):
                 scatter_add(table[k, i], slot, values)
-        return self._to_csc(table, reach, number, size)
+        return self._to_csc(table.reshape(dim, dim, len(known) + 1, -1)[:, :, :-1], reach, known, number, size)
 
     def _pairs(self, moduli: ndarray, part: slice) -> Iterator[tuple[int, int, ndarray]]:
         """Contributions ``(nodes of force, nodes of strain, points)`` to column component k and row component i."""
@@ -113,29 +115,28 @@ class PointIntegration:
         shift = self.force_stencil.base - self.strain_stencil.base
         return int(max(shift.max() + self.force_stencil.w.shape[2], self.strain_stencil.w.shape[2] - shift.min())) - 1
 
-    def _slots(self, part: slice, reach: int) -> ndarray:
+    def _slots(self, part: slice, reach: int, compact: ndarray) -> ndarray:
         """Place of each pair in the table, ``(nodes of force, nodes of strain, points)``."""
         force, strain, span = self.force_stencil, self.strain_stencil, 2 * reach + 1
         shift = force.base[:, part] - strain.base[:, part] + reach
         rows = np.indices((force.w.shape[2],) * self.dim).reshape(self.dim, -1)
         columns = np.indices((strain.w.shape[2],) * self.dim).reshape(self.dim, -1)
         power = span ** np.arange(self.dim)[::-1]
-        start = strain.nodes(part) * span ** self.dim - (power @ columns)[:, None]
+        start = compact[strain.nodes(part)] * span ** self.dim - (power @ columns)[:, None]
         return (power @ rows)[:, None, None] + (start + power @ shift)
 
-    def _to_csc(self, table: ndarray, reach: int, number: ndarray, size: int) -> csc_array:
-        dim, nnodes = number.shape
-        span = 2 * reach + 1
-        per_column = table.reshape(dim, dim, nnodes, -1).transpose(2, 0, 3, 1)       # node, component k, offset, i
-        value = per_column.ravel()
+    def _to_csc(self, table: ndarray, reach: int, known: ndarray, number: ndarray, size: int) -> csc_array:
+        """The table ``(component k, component i, column node, offset)`` without its zeros, as a sparse matrix."""
+        dim, span = self.dim, 2 * reach + 1
+        value = table.transpose(2, 0, 3, 1).ravel()                                  # node, k, offset, i
         kept = np.flatnonzero(value)
         column, rest = np.divmod(kept, span ** dim * dim)
         offset, i = np.divmod(rest, dim)
         node, k = np.divmod(column, dim)
         stride = np.cumprod([1, *self.force_stencil.shape[:0:-1]])[::-1]
         step = (np.indices((span,) * dim).reshape(dim, -1) - reach).T @ stride
-        row, column = number[i, node + step[offset]], number[k, node]
-        wanted = (row >= 0) & (column >= 0)
+        row, column = number[i, known[node] + step[offset]], number[k, known[node]]
+        wanted = row >= 0
         count = np.bincount(column[wanted], minlength=size)
         return csc_array((value[kept[wanted]], row[wanted].astype(np.int32),
                           np.concatenate([[0], np.cumsum(count)]).astype(np.int32)), shape=(size, size))

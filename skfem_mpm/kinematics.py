@@ -87,6 +87,9 @@ class Kinematics:
 
         ``ddot(w.stress, kinematics.strain(v, w))`` is the internal virtual work in every kinematics.
         """
+        if np.shape(u.grad)[0] != np.shape(u.grad)[1] or np.ndim(u.grad) != 4:
+            raise ValueError(f"u: got a field with a gradient of shape {np.shape(u.grad)}, expected a vector field; "
+                             "use ElementVector(...).")
         small = sym_grad(u)
         dim = small.shape[0]
         full = np.zeros((3, 3) + small.shape[2:])
@@ -165,11 +168,20 @@ class Logarithmic(Small):
         self.kinematics, self.dim, self.law = kinematics, dim, law
         self.places = kinematics.rows(dim)
         self.symmetric = [kinematics.packed_index(place) for place in self.places]
-        self.start = np.zeros_like(sigma) if epsilon is None else epsilon
+        self.start = self._elastic_strain(sigma) if epsilon is None else epsilon
         block = self.start[self.symmetric[:dim * dim]].reshape(dim, dim, -1)
         value, vector = _eigen(block)
         self.excess = _compose(np.expm1(2 * value), vector)      # b_n less the unit tensor: keeps small strains exact
         self.dilation = np.exp(self._trace(self.start))
+
+    def _elastic_strain(self, sigma: ndarray) -> ndarray:
+        """The strain that a stress given without one stands for."""
+        if not sigma.any():
+            return np.zeros_like(sigma)
+        if self.law.kirchhoff:
+            raise ValueError(f"epsilon: got stress without strain for {type(self.law).__name__}; give the particles "
+                             "the elastic logarithmic strain that goes with it.")
+        return self.law.elastic_strain(sigma, self.kinematics.components)
 
     def _trace(self, packed: ndarray) -> ndarray:
         return sum(row for row, (i, j) in zip(packed, self.kinematics.components) if i == j)

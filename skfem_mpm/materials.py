@@ -74,6 +74,14 @@ class LinearElastic:
                            + self.G * (delta[i, k] * delta[j, m] + delta[i, m] * delta[j, k])]
                           for k, m in places] for i, j in places])
 
+    def elastic_strain(self, stress: ndarray, components: Places) -> ndarray:
+        """The strain that a stress takes, ``(ncomp, n)``; one component alone is uniaxial strain."""
+        if len(stress) == 1:
+            return stress / (self.lam + 2 * self.G)
+        spherical = self.lam / (3 * self.lam + 2 * self.G) * stress[:3].sum(axis=0)
+        rows = [row - (spherical if i == j else 0.0) for row, (i, j) in zip(stress, components)]
+        return np.stack(rows) / (2 * self.G)
+
 
 @dataclass(frozen=True)
 class Hencky(LinearElastic):

@@ -49,6 +49,8 @@ class Support:
         self.index = self.grid.locate(particles.x)
         self.occupied = self.grid.occupied(self.index)
         planes = [plane for plane in boundary if hasattr(plane, "fixes")]
+        for plane in planes:
+            plane.check(full, particles.x)
         fixed = [plane.fixes(self.grid) for plane in planes] or [np.zeros((full.dim, self.grid.nnodes))]
         behind = [plane.behind(self.grid) for plane in planes] or [np.zeros(self.grid.nnodes)]
         self.fixed = np.any(fixed, axis=0)
@@ -60,7 +62,9 @@ class Support:
         self.sides = available_sides(self.occupied, active.reshape(self.grid.vertices.shape))
         reached = self._touched(self.stencil(method.strain))
         self.solved = active & reached & self._corners(self.occupied)
-        self._slave(reached | self._touched(self.stencil(method.force)) | self._felt())
+        read = reached | self._touched(self.stencil(method.force)) | self._touched(self.mapping)
+        self._slave(read | self._felt())
+        self._check_known(read)
 
     def stencil(self, basis: type[ParticleBasis], x: ndarray | None = None, length: ndarray | None = None) -> Stencil:
         """Stencil of a basis for the points, or for other positions in the body.
@@ -74,18 +78,14 @@ class Support:
             return self._stencils[basis]
         return self._make(basis, x, self.grid.locate(x), length)
 
-    def release(self) -> None:
-        """Let go of what belongs to the points, for a snapshot keeps only the grid."""
-        self._stencils.clear()
-        del self.mapping, self.particles, self.index
-
     def _make(self, basis: type[ParticleBasis], x: ndarray, index: ndarray, length: ndarray | None) -> Stencil:
         sides = None if basis is self.method.mass else self.sides
         return basis.stencil_of(self.grid, x, index, length, self.edges, sides)
 
     def _touched(self, stencil: Stencil) -> ndarray:
-        nodes, felt = stencil.nodes(), stencil.value() != 0
-        return np.bincount(nodes[felt], minlength=self.grid.nnodes) > 0
+        """Nodes whose value or slope some point sees; on a node a point sees its neighbours by their slopes alone."""
+        felt = (stencil.value() != 0) | (stencil.gradient() != 0).any(axis=0)
+        return np.bincount(stencil.nodes()[felt], minlength=self.grid.nnodes) > 0
 
     def _felt(self) -> ndarray:
         """Nodes the mapping may read anywhere in the occupied cells: of these, and of their neighbours for domains."""
@@ -107,9 +107,7 @@ class Support:
 
     def _slave(self, touched: ndarray) -> None:
         """Number the unknowns; nodes that points touch but nothing holds extrapolate the body, u_g = 2 u_0 - u_1."""
-        follow = _extrapolation(self.grid.vertices.shape, self.solved, touched & ~self.solved)
-        known = self.solved.copy()
-        known[np.unique(follow.coords[0])] = True
+        follow, known = _extrapolation(self.grid.vertices.shape, self.solved, touched & ~self.solved)
         dim = self.grid.dim
         nodes = np.flatnonzero(known)
         self.number = np.full((dim, self.grid.nnodes), -1)
@@ -121,6 +119,16 @@ class Support:
         self.slaved = len(nodes) > len(self.solved_nodes)
         self.transfer = _per_component(scalar, dim)
         self.free = ~self.fixed[:, self.solved_nodes].T.ravel()
+
+    def _check_known(self, read: ndarray) -> None:
+        """Refuse bodies so thin that a node which points read has nothing to follow."""
+        lost = np.flatnonzero(read & ~self.known)
+        if len(lost):
+            index = np.unravel_index(lost[0], self.grid.vertices.shape)
+            place = ", ".join(f"{axis[i]:g}" for axis, i in zip(self.grid.axes, index))
+            raise ValueError(f"particles: got points that read the node at ({place}), which carries no mass and has no "
+                             "two nodes of the body in line to follow; expected a body that spans a cell.  Move the "
+                             "grid against the points, or use smaller cells.")
 
     def spread(self, unknowns: ndarray) -> ndarray:
         """Nodal vectors ``(dim, nnodes)`` from the components of the solved nodes; nodes out of play stay zero."""
@@ -150,32 +158,32 @@ class Support:
         return cells[:, self.holds(cells)]
 
 
-def _extrapolation(shape: tuple[int, ...], solved: ndarray, wanted: ndarray) -> coo_array:
-    """Rows that express ``wanted`` nodes by solved ones: the mean over the axes of 2 u_0 - u_1, face nodes first."""
+def _extrapolation(shape: tuple[int, ...], solved: ndarray, wanted: ndarray) -> tuple[csr_array, ndarray]:
+    """Rows that express ``wanted`` nodes by solved ones, and which nodes are then solved or expressed.
+
+    A node is the mean over the axes of 2 u_0 - u_1, face nodes first, then those behind edges and corners.
+    """
     size = solved.size
-    rows = coo_array((size, size))
-    if not wanted.any():
-        return rows
-    known, left = solved.copy(), wanted.copy()
-    matrix = csr_array(eye_array(size)) * solved[:, None]
-    while left.any():
-        near, far = _neighbour_pairs(shape, np.flatnonzero(left))
-        usable = (near >= 0) & (far >= 0)
-        usable &= known[near] & known[far]
+    known, left = solved.copy(), np.flatnonzero(wanted)
+    itself = np.flatnonzero(solved)
+    matrix = csr_array((np.ones(len(itself)), (itself, itself)), shape=(size, size))
+    total = csr_array((size, size))
+    while len(left):
+        near, far = _neighbour_pairs(shape, left)
+        usable = (near >= 0) & (far >= 0) & known[near] & known[far]
         count = usable.sum(axis=0)
         if not count.any():
             break
-        nodes = np.flatnonzero(left)
         pick = np.nonzero(usable)
         share = 1 / count[pick[1]]
         value = np.concatenate([2 * share, -share])
-        row = np.tile(nodes[pick[1]], 2)
+        row = np.tile(left[pick[1]], 2)
         column = np.concatenate([near[pick], far[pick]])
-        new = coo_array((value, (row, column)), shape=(size, size))
-        matrix = matrix + csr_array(new) @ matrix
-        known[nodes[count > 0]] = True
-        left[nodes[count > 0]] = False
-    return coo_array(matrix * (~solved)[:, None])
+        new = csr_array((value, (row, column)), shape=(size, size)) @ matrix
+        matrix, total = matrix + new, total + new
+        known[left[count > 0]] = True
+        left = left[count == 0]
+    return total, known
 
 
 def _neighbour_pairs(shape: tuple[int, ...], nodes: ndarray) -> tuple[ndarray, ndarray]:

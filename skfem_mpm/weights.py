@@ -5,7 +5,8 @@ r"""Integration weights :math:`W_p` of the points in stiffness and internal forc
 ``eq10``
     Eq. (10) to the letter, :math:`W_p = V_e / \sum_{q \in e} V_q`: every cell counts in full, cut ones too.
 ``interior``
-    Eq. (10) only in interior cells, those whose face neighbours all hold points; 1 elsewhere.  (Ours.)
+    Eq. (10) only in interior cells, those whose face neighbours all hold points (a face on the edge of the grid misses
+    none); 1 elsewhere.  (Ours.)
 ``overlap``
     The same by overlap of domains and cells, :math:`W_p = \sum_e W_e V_{pe} / V_p` with
     :math:`W_e = V_e / \sum_q V_{qe}` in interior cells: continuous when a point crosses a face.  (Ours.)
@@ -62,12 +63,11 @@ def cell_volumes(grid: Grid, ring: bool) -> ndarray:
 
 
 def interior(occupied: ndarray) -> ndarray:
-    """Occupied cells whose face neighbours are all occupied; a cell on the edge of an axis of one cell counts too."""
+    """Occupied cells whose face neighbours are all occupied; beyond the grid there is nothing to miss."""
     inside = occupied.copy()
     for axis, size in enumerate(occupied.shape):
-        if size > 1:
-            padded = np.pad(occupied, [(int(k == axis),) * 2 for k in range(occupied.ndim)])
-            inside &= np.take(padded, range(size), axis) & np.take(padded, range(2, size + 2), axis)
+        padded = np.pad(occupied, [(int(k == axis),) * 2 for k in range(occupied.ndim)], constant_values=True)
+        inside &= np.take(padded, range(size), axis) & np.take(padded, range(2, size + 2), axis)
     return inside
 
 

@@ -271,3 +271,67 @@ def test_every_wall_and_plane_answers_under_its_own_name(method):
     assert list(state.reactions) == ["low", "high"]
     assert state.reactions["low"][0] == pytest.approx(-state.reactions["high"][0], rel=1e-9)
     assert state.reactions["low"][0] > 0
+
+
+# What fits the body.
+
+@pytest.mark.parametrize("at, side", [(0.0, 1), (0.5, -1), (1.0, -1)])
+def test_a_plane_with_points_behind_it_is_refused(at, side):
+    mesh, body = boxed(1)
+    with pytest.raises(ValueError, match=rf"plane 'base': got point \d+ .* behind the plane at .*side={side}"):
+        next(implicit_steps(mesh, body, LAW, [FixedPlane(0, at, side, name="base")], steps=1))
+
+
+def test_a_plane_of_another_dimension_or_off_the_lines_is_refused():
+    mesh, body = boxed(1)
+    for plane in (FixedPlane(1, 0.0, -1, name="base"), FixedPlane(0, 0.0, -1, (0, 1), name="base")):
+        with pytest.raises(ValueError, match="plane 'base': got axis . and components .* expected numbers from 0 to 0"):
+            next(implicit_steps(mesh, body, LAW, [plane], steps=1))
+    with pytest.raises(ValueError, match="nan.*no grid line"):
+        next(implicit_steps(mesh, body, LAW, [FixedPlane(0, np.nan, -1)], steps=1))
+
+
+def test_a_wall_that_does_not_touch_the_body_is_refused():
+    mesh = MeshLine(np.arange(-2, 13) * 0.125)
+    body = Particles.fill(mesh, uniaxial, where=lambda x: (x[0] > 0) & (x[0] < 1))
+    held = FixedPlane(0, 0.0, -1)
+    next(implicit_steps(mesh, body, LAW, [held, Wall(np.array([[1.1]]), (-0.01,))], steps=1))
+    with pytest.raises(ValueError, match="wall 'wall': got point 0 at .*more than a cell away from the body"):
+        next(implicit_steps(mesh, body, LAW, [held, Wall(np.array([[1.3]]), (-0.01,))], steps=1))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("count", [3, 8, 40])
+def test_a_wall_may_have_more_points_than_the_grid_has_nodes_to_obey_them(method, count):
+    """Rows that others imply are left out: the wall moves as told at every point, however many there are."""
+    axis = np.arange(-1, 6) * 0.25
+    mesh = MeshQuad.init_tensor(axis, axis)
+    body = Particles.fill(mesh, plane_strain, where=lambda x: ((x > 0) & (x < 1)).all(axis=0))
+    points = np.stack([np.linspace(0.02, 0.98, count), np.full(count, 0.97)])
+    boundary = [FixedPlane(1, 0.0, -1, (0, 1), name="base"), Wall(points, (0.0, -0.01), name="top")]
+    state = next(implicit_steps(mesh, body, LAW, boundary, steps=1, method=method, strain="small"))
+    assert state.reactions["top"][1] < 0
+    assert_allclose(state.reactions["top"], -state.reactions["base"], atol=1e-6 * abs(state.reactions["top"][1]))
+
+
+def test_walls_and_planes_that_contradict_each_other_are_refused():
+    axis = np.arange(-1, 6) * 0.25
+    mesh = MeshQuad.init_tensor(axis, axis)
+    body = Particles.fill(mesh, plane_strain, where=lambda x: ((x > 0) & (x < 1)).all(axis=0))
+    base = FixedPlane(1, 0.0, -1, (0, 1), name="base")
+    for wall in (Wall(np.array([[0.0], [0.0]]), (0.01, 0.0)), Wall(np.array([[0.4, 0.4], [1.0, 1.0]]), (0.01, None))):
+        others = [Wall(np.array([[0.4], [1.0]]), (0.02, None))] if wall.x.shape[1] == 2 else []
+        with pytest.raises(ValueError, match="wall: got a displacement of .* where other walls and planes allow only"):
+            next(implicit_steps(mesh, body, LAW, [base, wall, *others], steps=1))
+
+
+def test_a_wall_that_is_told_nothing_finite_is_refused():
+    with pytest.raises(ValueError, match=r"increment: got \(nan,\) for wall 'wall'"):
+        Wall(np.array([[1.0]]), (np.nan,))
+
+
+def test_a_body_thinner_than_a_cell_is_refused():
+    """Points on one grid line: nothing says how the nodes around move."""
+    body = Particles(np.array([[0.5]]), np.array([0.1]), np.array([1.0]), uniaxial)
+    with pytest.raises(ValueError, match="particles: got points that read the node at .*body that spans a cell"):
+        next(implicit_steps(MeshLine(np.linspace(0, 1, 9)), body, LAW, [Wall(np.array([[0.47]]), (0.01,))], steps=1))

@@ -505,7 +505,7 @@ def test_the_soft_floor_is_elastic_and_proportional():
 def test_a_run_goes_on_from_a_state_as_if_it_had_never_stopped(method, choices):
     whole = list(block(method, steps=6, **choices))
     half = last(block(method, steps=3, **choices))
-    again = list(block(method, steps=3, start=half, boundary=(), **choices))
+    again = list(block(method, steps=3, start=half, boundary=None, **choices))
     for one, two in zip(whole[3:], again):
         same(one, two)
     assert [state.step for state in again] == [4, 5, 6]
@@ -518,6 +518,59 @@ def test_a_moving_wall_goes_on_from_where_it_was(method):
     half = whole[2]
     for one, two in zip(whole[3:], scene.run(method, steps=3, start=half)):
         same(one, two)
+
+
+def test_a_new_boundary_takes_the_place_of_the_states_own():
+    scene = cylinder(dim=1, cells=10)
+    half = next(scene.run("mpm", steps=1))
+    held = (replace(half.boundary[0], increment=(0.0,)), *half.boundary[1:])
+    still = next(implicit_steps(scene.mesh, half, scene.material, held, steps=1))
+    assert still.boundary[0].x == half.boundary[0].x
+    assert next(scene.run("mpm", steps=1, start=half)).boundary[0].x > half.boundary[0].x
+
+
+def test_a_stress_that_comes_without_a_strain_is_not_lost():
+    """Prestress, or a run with small strain before: logarithmic strain starts from the strain that it stands for."""
+    mesh, body = boxed(1)
+    loaded = replace(body, sigma=np.full((1, body.n), 5.0))
+    held = [FixedPlane(0, 0.0, -1, name="base"), Wall(np.array([[1.0]]), (0.0,), name="end")]
+    state = next(implicit_steps(mesh, loaded, LAW, held, steps=1))
+    assert_allclose(state.particles.sigma, 5.0, rtol=1e-9)
+    with pytest.raises(ValueError, match="epsilon: got stress without strain for Hencky"):
+        next(implicit_steps(mesh, loaded, Hencky(E=100.0, nu=0.3), held, steps=1))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_points_on_nodes_are_like_points_beside_them(method):
+    """On a node a point sees the neighbour nodes by their slopes alone."""
+    axis = np.linspace(-0.25, 1.25, 7)
+    mesh = MeshQuad.init_tensor(axis, axis)
+    x = np.stack(np.meshgrid(*[np.linspace(0, 1, 5)] * 2)).reshape(2, -1)
+
+    def stress(shift):
+        body = Particles(x + shift, np.full(25, 0.04), np.full(25, 1.0), plane_strain, length=np.full((2, 25), 0.2))
+        held = [FixedPlane(1, 0.0, -1, (0, 1), name="base")]
+        return next(implicit_steps(mesh, body, LAW, held, steps=1, method=method, strain="small",
+                                   gravity=(0.0, -1.0))).particles.sigma
+
+    on, beside = stress(0.0), stress(1e-10)
+    assert_allclose(on, beside, atol=1e-6 * np.abs(beside).max())
+
+
+def test_gravity_that_comes_with_a_restart_is_a_load_in_the_incremental_scheme_too():
+    mesh, body = boxed(1)
+    held = [FixedPlane(0, 0.0, -1, name="base")]
+    choices = dict(steps=1, scheme="incremental", strain="small")
+    idle = next(implicit_steps(mesh, body, LAW, held, **choices))
+    state = next(implicit_steps(mesh, idle, LAW, gravity=(-1e-3,), **choices))
+    assert state.reactions["base"][0] == pytest.approx(1e-3 * body.mass.sum(), rel=1e-4)
+    again = next(implicit_steps(mesh, state, LAW, gravity=(-1e-3,), **choices))
+    assert_allclose(again.particles.sigma, state.particles.sigma, atol=1e-12)
+
+
+def test_a_law_of_kirchhoff_stress_is_no_incremental_one():
+    with pytest.raises(ValueError, match="scheme: got 'incremental' with Hencky"):
+        cylinder(dim=1, material=Hencky(25e6, 0.3)).run("mpm", steps=1, scheme="incremental")
 
 
 @every_scheme

@@ -11,7 +11,7 @@ import numpy as np
 from skfem import Mesh
 
 from ..basis import METHODS, Method
-from ..checks import NotConvergedError, check_choice
+from ..checks import NotConvergedError, OutsideGridError, check_choice
 from ..grid import EDGES, Edges
 from ..integration import INTEGRATIONS
 from ..kinematics import STRAINS
@@ -28,7 +28,7 @@ TANGENTS = ("exact", "conjugate")
 
 
 def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | State, material: Any,
-                   boundary: Sequence[Any] = (), *, steps: int, method: str | Method = "mpm",
+                   boundary: Sequence[Any] | None = None, *, steps: int, method: str | Method = "mpm",
                    strain: str = "logarithmic", scheme: str = "equilibrated", weights: str = "one",
                    integration: str = "points", edges: Edges = "ghost", tangent: str | None = None,
                    gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, tolerance: float = 1e-11,
@@ -40,11 +40,11 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     mesh
         An axis-aligned line, quad or hex mesh; or a function of the state that gives the mesh of the next step.
     start
-        The points, or a state to go on from (its own boundary is then used).
+        The points, or a state to go on from.
     material
         A law such as ``LinearElastic`` or ``Hencky``.
     boundary
-        Fixed planes and walls, see :mod:`skfem_mpm.boundary`.
+        Fixed planes and walls, see :mod:`skfem_mpm.boundary`; those of the state if not given.
     steps
         Number of load steps to do.
     method
@@ -102,7 +102,10 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         raise ValueError(f"steps: got {steps}, expected a whole number of at least 1.")
     if not (hasattr(material, "update") and hasattr(material, "tangent")):
         raise TypeError(f"material: got {type(material).__name__}, expected a law such as LinearElastic.")
-    state = start if isinstance(start, State) else _initial(start, tuple(boundary))
+    if material.kirchhoff and scheme == "incremental":
+        raise ValueError(f"scheme: got 'incremental' with {type(material).__name__}; expected a law whose Cauchy "
+                         "stress follows small strains, such as LinearElastic.")
+    state = _initial(start, boundary)
     load = gravity if callable(gravity) else lambda step: gravity
     return _run(mesh, state, material, options, int(steps), load, max_cuts)
 
@@ -125,12 +128,20 @@ def _check(method: str | Method, strain: str, scheme: str, weights: str, integra
                    solver or solve_direct)
 
 
-def _initial(particles: Particles, boundary: tuple[Any, ...]) -> State:
-    if not isinstance(particles, Particles):
-        raise TypeError(f"start: got {type(particles).__name__}, expected Particles, or a State to go on from.")
-    if not boundary:
+def _initial(start: Any, boundary: Any) -> State:
+    if not isinstance(start, (Particles, State)):
+        raise TypeError(f"start: got {type(start).__name__}, expected Particles, or a State to go on from.")
+    if boundary is None and isinstance(start, State):
+        return start
+    items = tuple(boundary) if isinstance(boundary, Sequence) else (boundary,)
+    for item in items:
+        if not (hasattr(item, "advanced") and (hasattr(item, "fixes") or hasattr(item, "rows"))):
+            raise TypeError(f"boundary: got {type(item).__name__}, expected FixedPlane and Wall objects in a list.")
+    if not items:
         raise ValueError("boundary: got nothing that holds the body; give a FixedPlane or a Wall.")
-    return State(0, particles, boundary, np.zeros((particles.dim, 0)), {})
+    if isinstance(start, State):
+        return replace(start, boundary=items)
+    return State(0, start, items, np.zeros((start.dim, 0)), {})
 
 
 def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, load: Callable[[float], Any],
@@ -148,7 +159,9 @@ def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, l
                         f"step {good.step + 1}: {failure} even after cutting it {max_cuts} times; the last good state "
                         "is in .state. Use smaller steps, or look for what fails there.", good) from None
             except NotConvergedError as failure:
-                raise NotConvergedError(f"step {good.step + 1}: {failure}", good) from None
+                raise NotConvergedError(f"step {good.step + 1}: {failure}", good) from failure
+            except OutsideGridError as failure:
+                raise OutsideGridError(f"step {good.step + 1}: {failure}") from failure
             else:
                 done += share
         state = replace(state, step=good.step + 1, cuts=cuts)

@@ -6,11 +6,37 @@ from typing import Any
 
 import numpy as np
 from numpy import ndarray
+from scipy.linalg import qr
 from scipy.sparse import block_array, csc_array, csr_array, issparse
 from scipy.sparse.linalg import splu
 
 from ..checks import NotConvergedError
 from .state import Solver
+
+
+def independent_rows(rows: csr_array, values: ndarray) -> ndarray:
+    """Which constraint rows to keep, in order: walls may have more points than the grid has nodes to obey them.
+
+    Raises
+    ------
+    ValueError
+        If a row that the others imply asks for another value.
+    """
+    count = len(values)
+    if not count:
+        return np.arange(0)
+    columns = np.unique(rows.indices)
+    dense = rows[:, columns].toarray().T
+    triangle, order = qr(dense, mode="r", pivoting=True)
+    size = np.abs(np.diagonal(triangle))
+    kept = np.sort(order[:int((size > 1e-8).sum())])
+    found = np.linalg.lstsq(dense[:, kept].T, values[kept], rcond=None)[0] @ dense if len(kept) else np.zeros(count)
+    wrong = np.abs(found - values) > 1e-8 * np.abs(values).max(initial=0.0)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise ValueError(f"wall: got a displacement of {values[row]:g} where other walls and planes allow only "
+                         f"{found[row]:g}; expected walls that agree with each other and with the planes.")
+    return kept
 
 
 def solve_constrained(solver: Solver, stiffness: csr_array, force: ndarray, rows: csr_array, values: ndarray,

@@ -39,6 +39,8 @@ class State:
         How often the step had to be cut in two.
     scheme
         How the step was made.
+    gravity
+        Body force per mass that acts now.
     """
 
     step: int
@@ -49,6 +51,7 @@ class State:
     residuals: tuple[float, ...] = ()
     cuts: int = 0
     scheme: str = ""
+    gravity: Any = None
     _recovery: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -70,14 +73,14 @@ class State:
         Parameters
         ----------
         x
-            ``(dim, n)``; positions at the start of the step.
+            ``(dim, n)``; positions at the start of the step, in cells that held points then.
         length
             ``(dim, n)``; domains, for methods that recover strain with GIMP.
 
         Raises
         ------
         ValueError
-            If there is no step to recover from.
+            If there is no step to recover from, or a position is not in the body.
         """
         if self._recovery is None:
             raise ValueError("state: got one without a step behind it; take a state that implicit_steps has yielded.")

@@ -11,13 +11,15 @@ from numpy import ndarray
 from scipy.sparse import csc_array, csr_array
 from skfem import Mesh
 
+from ..basis import ParticleBasis
 from ..checks import check_array
+from ..grid import Edges, Grid
 from ..integration import INTEGRATIONS
 from ..kinematics import STRAINS
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
-from .solve import solve_constrained
+from .solve import independent_rows, solve_constrained
 from .state import Options, State
 
 MAX_PASSES = 25
@@ -49,6 +51,9 @@ class Step:
         self.support = Support(mesh, particles, method, options.edges, state.boundary)
         self.motion = self._motion(particles)
         self.operator = self._operator(method.force, method.strain)
+        self.tangent_operator = self.operator
+        if options.tangent == "conjugate":
+            self.tangent_operator = self._operator(method.force, method.force)
         self.floor = self._floor_stiffness()
         self.force_before = 0.0
         self.stiffness_scale = np.zeros(self.support.transfer.shape[1])
@@ -99,14 +104,15 @@ class Step:
     def advance(self, share: float, load: Callable[[float], Any], done: float) -> State:
         """The state after ``share`` of a load step that starts ``done`` steps into the run."""
         rows, values, owner = self._constraints(share)
-        external = self._weight(load(done + share))
+        gravity = load(done + share)
+        external = self._weight(gravity)
         if self.options.scheme == "incremental":
-            before = self._weight(load(done) if done else None)
+            before = self._weight(self.state.gravity)
             unknowns, force, residuals = self._solve_once(external - before, rows, values)
         else:
             unknowns, force, residuals = self._newton(external, rows, values)
         reactions = self._reactions(force, rows, owner)
-        return self._finish(self.support.spread(unknowns), share, residuals, reactions)
+        return self._finish(self.support.spread(unknowns), share, residuals, reactions, gravity)
 
     def _constraints(self, share: float) -> tuple[csr_array, ndarray, list[tuple[str, int]]]:
         """Wall rows over the solved components, scaled like the stiffness, and whose they are."""
@@ -115,14 +121,16 @@ class Step:
         owner: list[tuple[str, int]] = []
         for wall in self.state.boundary:
             if hasattr(wall, "rows"):
-                new, targets, components = wall.rows(self.support, share)
+                new, wanted, components = wall.rows(self.support, share)
                 rows += new
-                values += targets
+                values += wanted
                 owner += [(wall.name, component) for component in components]
         if not rows and self.support.free.all():
             raise ValueError("boundary: nothing is fixed and no wall holds the body; add a FixedPlane or a Wall where "
                              "it is.")
-        return stack_rows(rows, self.support.transfer.shape[1]), np.array(values), owner
+        stacked, targets = stack_rows(rows, self.support.transfer.shape[1]), np.array(values)
+        kept = independent_rows(stacked[:, np.flatnonzero(self.support.free)], targets)
+        return stacked[kept], targets[kept], [owner[row] for row in kept]
 
     def _weight(self, gravity: Any) -> ndarray:
         """Body force on the solved components."""
@@ -145,11 +153,8 @@ class Step:
         return unknowns, np.concatenate([unbalanced, multipliers]), ()
 
     def _stiffness(self, moduli: ndarray) -> csr_array:
-        operator = self.operator
-        if self.options.tangent == "conjugate":
-            operator = self._operator(self.options.method.force, self.options.method.force)
         support = self.support
-        full = operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.floor
+        full = self.tangent_operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.floor
         return support.transfer.T @ full @ support.transfer if support.slaved else full
 
     def _newton(self, external: ndarray, rows: csr_array,
@@ -218,7 +223,7 @@ class Step:
         return reactions
 
     def _finish(self, u: ndarray, share: float, residuals: tuple[float, ...],
-                reactions: dict[str, ndarray]) -> State:
+                reactions: dict[str, ndarray], gravity: Any) -> State:
         support, old = self.support, self.particles
         gradient = self.operator.gradient(u)
         ratio = self.motion.stretch(gradient)
@@ -230,29 +235,43 @@ class Step:
         displacement = np.zeros((old.dim, self.mesh.nvertices))
         displacement[:, support.grid.vertices.ravel()] = u
         boundary = tuple(item.advanced(share) for item in self.state.boundary)
-        support.release()
-        recovery = _Recovery(support, u, self.material, self.options, old.kinematics)
+        basis = self.options.method.strain
+        sides = None if basis is self.options.method.mass else support.sides
+        recovery = _Recovery(support.grid, basis, self.options.edges, sides, support.occupied, u, self.motion)
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
-                     scheme=self.options.scheme, _recovery=recovery)
+                     scheme=self.options.scheme, gravity=gravity, _recovery=recovery.at_rest())
 
 
 @dataclass(frozen=True, eq=False)
 class _Recovery:
-    """Recovers the stress increment of a step at any positions."""
+    """Recovers the stress increment of a step at any positions; keeps the grid, not the points."""
 
-    support: Support
+    grid: Grid
+    basis: type[ParticleBasis]
+    edges: Edges
+    sides: ndarray | None
+    occupied: ndarray
     u: ndarray
-    material: Any
-    options: Options
-    kinematics: Any
+    motion: Any
+
+    def at_rest(self) -> _Recovery:
+        """The same without the points' stress."""
+        zero = np.zeros((self.motion.kinematics.ncomp, 1))
+        return replace(self, motion=type(self.motion)(self.motion.kinematics, len(self.u), self.motion.law, zero, None))
 
     def __call__(self, x: ndarray, length: ndarray | None) -> ndarray:
-        stencil = self.support.stencil(self.options.method.strain, x, length)
-        operator = INTEGRATIONS["points"](self.kinematics, stencil, stencil, np.ones(x.shape[1]), x[0])
-        gradient = operator.gradient(self.u)
-        zero = np.zeros((self.kinematics.ncomp, x.shape[1]))
-        motion = STRAINS[self.options.strain](self.kinematics, len(x), self.material, zero, None)
-        return motion.respond(gradient).sigma
+        x = check_array("x", x, (len(self.u), None))
+        index = self.grid.locate(x)
+        empty = np.flatnonzero(~self.occupied[tuple(index)])
+        if len(empty):
+            raise ValueError(f"x: got point {empty[0]} at {x[:, empty[0]]}, in a cell that held no points in this "
+                             "step; expected positions in the body.")
+        stencil = self.basis.stencil_of(self.grid, x, index, length, self.edges, self.sides)
+        kinematics = self.motion.kinematics
+        operator = INTEGRATIONS["points"](kinematics, stencil, stencil, np.ones(x.shape[1]), x[0])
+        zero = np.zeros((kinematics.ncomp, x.shape[1]))
+        motion = type(self.motion)(kinematics, len(x), self.motion.law, zero, None)
+        return motion.respond(operator.gradient(self.u)).sigma
 
 
 def _needed(particles: Particles, options: Options) -> Particles:

@@ -59,8 +59,9 @@ class Cylinder:
 
         Calls :func:`skfem_mpm.implicit_steps` with this scene and ``choices``.
         """
-        return implicit_steps(self.mesh, start or self.particles, self.material, self.boundary, method=method,
-                              steps=steps, edges=self.edges, **choices)
+        boundary = self.boundary if start is None else None
+        return implicit_steps(self.mesh, start or self.particles, self.material, boundary, method=method, steps=steps,
+                              **{"edges": self.edges, **choices})
 
     def reference(self, name: str, steps: int) -> CylinderState:
         """Positions and stresses of the points after each of ``steps`` steps by a reference solution.
@@ -171,6 +172,11 @@ def cylinder(cells: int = 20, *, dim: int = 2, per_cell: int = 2, rule: str = "q
     if dim not in (1, 2) or int(cells) != cells or cells < 1 or not 0 <= offset < 1:
         raise ValueError(f"cylinder: got dim={dim}, cells={cells}, offset={offset}, expected dim 1 or 2, at least one "
                          "cell, and an offset from 0 to below 1.")
+    if follow and offset:
+        raise ValueError(f"offset: got {offset} with follow=True, expected 0; a grid that follows the wall has a line "
+                         "on it.")
+    if not inner <= followed <= outer:
+        raise ValueError(f"followed: got {followed}, expected a radius from {inner} to {outer}.")
     width = (outer - inner) / (cells - offset)
     if edges == "ghost" and inner - width * (1 + offset) < 0:
         raise ValueError(f"inner: got {inner}, expected at least the width of a spare cell, {width:g}; take more cells "
