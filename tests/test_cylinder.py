@@ -257,8 +257,7 @@ def test_the_defaults_are_the_papers_material_and_our_stand_ins():
     assert scene.particles.x[0, scene.followed] == pytest.approx(1.525)
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.3, 0.99])
-@pytest.mark.parametrize("follow", [False, True])
+@pytest.mark.parametrize("offset, follow", [(0.0, False), (0.3, False), (0.99, False), (0.0, True)])
 def test_the_outer_face_is_a_grid_line_and_the_body_is_the_cylinder(offset, follow):
     scene = cylinder(cells=10, dim=1, offset=offset, follow=follow)
     mesh = scene.mesh(next(scene.run(steps=1))) if follow else scene.mesh
@@ -386,3 +385,10 @@ def test_unknown_choices_of_a_run_are_refused():
         cylinder(dim=1).run("fem")
     with pytest.raises(TypeError, match="unexpected keyword"):
         cylinder(dim=1).run("mpm", speed=11)
+
+
+def test_a_grid_that_follows_the_wall_has_no_offset_and_a_followed_point_is_in_the_wall():
+    with pytest.raises(ValueError, match="offset: got 0.3 with follow=True"):
+        cylinder(offset=0.3, follow=True)
+    with pytest.raises(ValueError, match="followed: got 99.0, expected a radius from 1.0 to 3.0"):
+        cylinder(followed=99.0)

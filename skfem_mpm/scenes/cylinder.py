@@ -122,7 +122,7 @@ class Cylinder:
 
 
 def cylinder(cells: int = 20, *, dim: int = 2, per_cell: int = 2, rule: str = "quarter", inner: float = 1.0,
-             outer: float = 3.0, increment: float = 0.015, material: Any = None, followed: float = 1.525,
+             outer: float = 3.0, increment: float = 0.015, material: Any = None, followed: float | None = None,
              edges: Edges = "ghost", offset: float = 0.0, follow: bool = False) -> Cylinder:
     """Thick-walled cylinder, plane strain along its axis, whose inner wall is pushed outwards; SI units.
 
@@ -145,7 +145,8 @@ def cylinder(cells: int = 20, *, dim: int = 2, per_cell: int = 2, rule: str = "q
     material
         A law; ``LinearElastic(E=25e6, nu=0.3)`` if not given.
     followed
-        Initial radius of the point to follow; the nearest point is taken.
+        Initial radius of the point to follow, of which the nearest is taken; 1.525 in the default cylinder, and as far
+        through the wall in others, if not given.
     edges
         ``ghost`` gives the grid a spare layer of cells inside and outside; ``truncate`` and ``clip`` end it at the
         body.
@@ -175,6 +176,8 @@ def cylinder(cells: int = 20, *, dim: int = 2, per_cell: int = 2, rule: str = "q
     if follow and offset:
         raise ValueError(f"offset: got {offset} with follow=True, expected 0; a grid that follows the wall has a line "
                          "on it.")
+    if followed is None:
+        followed = inner + 0.2625 * (outer - inner)
     if not inner <= followed <= outer:
         raise ValueError(f"followed: got {followed}, expected a radius from {inner} to {outer}.")
     width = (outer - inner) / (cells - offset)
