@@ -25,7 +25,7 @@ from skfem_mpm.boundary import FixedPlane
 from skfem_mpm.grid import Grid
 from skfem_mpm.implicit import State, solve_direct
 from skfem_mpm.implicit.state import Options
-from skfem_mpm.implicit.step import Step
+from skfem_mpm.implicit.step import Step, _Problem
 from skfem_mpm.support import stack_rows
 
 
@@ -73,7 +73,8 @@ def measure(method, points, empty, repeats, solve):
     _, stencil = median(stencils, repeats)
     unknowns = np.zeros(support.transfer.shape[1])
     nothing, external = stack_rows([], len(unknowns)), step._weight((0.0, -1e-3))
-    start, residual = median(lambda: step._iterate(unknowns, np.zeros(0), external, nothing), repeats)
+    problem = _Problem(external, nothing, np.zeros(0))
+    start, residual = median(lambda: step._iterate(problem, unknowns, np.zeros(0)), repeats)
     moduli, tangent = median(start.response.tangent, repeats)
     stiffness, assemble = median(lambda: step._stiffness(moduli), repeats)
     row = {"method": method, "points": particles.n, "dofs": int(support.free.sum()), "nonzeros": int(stiffness.nnz),

@@ -811,7 +811,17 @@ def test_a_state_without_a_step_has_nothing_to_recover():
         caught.value.state.recover(np.zeros((2, 1)))
 
 
+def test_points_and_mesh_are_of_one_dimension():
+    _, body = boxed(1)
+    with pytest.raises(ValueError, match=r"particles: got points in 1 dimension\(s\) on a mesh in 2"):
+        next(block(start=body))
+
+
 @pytest.mark.parametrize("wrong, match", [(dict(start=None), "start|particles"), (dict(material=None), "material"),
+                                          (dict(solver=3), "solver: got int"), (dict(gravity="down"), "gravity: got"),
+                                          (dict(tolerance="a"), "tolerance: got 'a'"), (dict(floor=None), "floor: got"),
+                                          (dict(max_cuts=-1), "max_cuts: got -1"),
+                                          (dict(boundary=FixedPlane(0, 0.0, 1)), "plane"),
                                           (dict(boundary=[None]), "boundary"), (dict(mesh=None), "mesh")], ids=str)
 def test_things_of_a_wrong_kind_are_refused_by_name(wrong, match):
     with pytest.raises((TypeError, ValueError), match=match):

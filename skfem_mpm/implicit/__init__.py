@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -98,8 +98,9 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     1 0.001
     """
     options = _check(method, strain, scheme, weights, integration, edges, tangent, floor, tolerance, solver)
-    if not (isinstance(steps, Integral) and steps >= 1):
-        raise ValueError(f"steps: got {steps}, expected a whole number of at least 1.")
+    for name, count, least in [("steps", steps, 1), ("max_cuts", max_cuts, 0)]:
+        if not (isinstance(count, Integral) and count >= least):
+            raise ValueError(f"{name}: got {count!r}, expected a whole number of at least {least}.")
     if not (hasattr(material, "update") and hasattr(material, "tangent")):
         raise TypeError(f"material: got {type(material).__name__}, expected a law such as LinearElastic.")
     if material.kirchhoff and scheme == "incremental":
@@ -122,8 +123,10 @@ def _check(method: str | Method, strain: str, scheme: str, weights: str, integra
     tangent = tangent or ("exact" if scheme == "equilibrated" else "conjugate")
     check_choice("tangent", tangent, TANGENTS)
     for name, number in [("floor", floor), ("tolerance", tolerance)]:
-        if not (0 <= number < 1):
-            raise ValueError(f"{name}: got {number}, expected a number from 0 to below 1.")
+        if not (isinstance(number, Real) and 0 <= number < 1):
+            raise ValueError(f"{name}: got {number!r}, expected a number from 0 to below 1.")
+    if solver is not None and not callable(solver):
+        raise TypeError(f"solver: got {type(solver).__name__}, expected a function solver(A, b) that returns x.")
     return Options(method, strain, scheme, weights, integration, edges, tangent, floor, tolerance,
                    solver or solve_direct)
 

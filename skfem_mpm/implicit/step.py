@@ -30,6 +30,17 @@ class Retry(Exception):
 
 
 @dataclass(frozen=True)
+class _Problem:
+    """What Newton's method has to meet, and by what it measures how far it is from that."""
+
+    external: ndarray
+    rows: csr_array                  # of the walls
+    values: ndarray
+    before: float = 0.0              # size of the internal force at the start of the step
+    diagonal: ndarray | float = 0.0  # of the last stiffness
+
+
+@dataclass(frozen=True)
 class _Iterate:
     """Where Newton's method is: unknowns and multipliers, what points answer, and how far from equilibrium that is."""
 
@@ -55,8 +66,6 @@ class Step:
         if options.tangent == "conjugate":
             self.tangent_operator = self._operator(method.force, method.force)
         self.floor = self._floor_stiffness()
-        self.force_before = 0.0
-        self.stiffness_scale = np.zeros(self.support.transfer.shape[1])
 
     def _motion(self, particles: Particles) -> Any:
         kinematics = particles.kinematics
@@ -110,7 +119,7 @@ class Step:
             before = self._weight(self.state.gravity)
             unknowns, force, residuals = self._solve_once(external - before, rows, values)
         else:
-            unknowns, force, residuals = self._newton(external, rows, values)
+            unknowns, force, residuals = self._newton(_Problem(external, rows, values))
         reactions = self._reactions(force, rows, owner)
         return self._finish(self.support.spread(unknowns), share, residuals, reactions, gravity)
 
@@ -136,12 +145,15 @@ class Step:
         """Body force on the solved components."""
         if gravity is None:
             return np.zeros(self.support.transfer.shape[1])
-        gravity = np.asarray(gravity, dtype=float)
-        if gravity.shape == (self.particles.dim,):
-            gravity = check_array("gravity", gravity, gravity.shape)
-        else:
+        try:
+            gravity = np.asarray(gravity, dtype=float)
+        except (TypeError, ValueError):
+            raise TypeError(f"gravity: got {gravity!r}, expected {self.particles.dim} number(s), one per "
+                            "axis.") from None
+        if gravity.shape != (self.particles.dim,):
             raise ValueError(f"gravity: got shape {gravity.shape}, expected ({self.particles.dim},), one entry per "
                              "axis.")
+        gravity = check_array("gravity", gravity, gravity.shape)
         return self.support.gather(gravity[:, None] * self.support.mass)
 
     def _solve_once(self, external: ndarray, rows: csr_array,
@@ -157,34 +169,33 @@ class Step:
         full = self.tangent_operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.floor
         return support.transfer.T @ full @ support.transfer if support.slaved else full
 
-    def _newton(self, external: ndarray, rows: csr_array,
-                values: ndarray) -> tuple[ndarray, ndarray, tuple[float, ...]]:
-        at = self._iterate(np.zeros(rows.shape[1]), np.zeros(len(values)), external, rows)
-        self.force_before = float(np.linalg.norm(at.force))
+    def _newton(self, problem: _Problem) -> tuple[ndarray, ndarray, tuple[float, ...]]:
+        at = self._iterate(problem, np.zeros(problem.rows.shape[1]), np.zeros(len(problem.values)))
+        problem = replace(problem, before=float(np.linalg.norm(at.force)))
         residuals: list[float] = []
         for _ in range(MAX_PASSES):
             stiffness = self._stiffness(at.response.tangent())
-            self.stiffness_scale = stiffness.diagonal()
-            change, target = self._linear_solve(stiffness, external - at.force, rows, values - rows @ at.unknowns)
-            at = self._line_search(at, change, target, external, rows, first=not residuals)
+            problem = replace(problem, diagonal=stiffness.diagonal())
+            change, target = self._linear_solve(stiffness, problem.external - at.force, problem.rows,
+                                                problem.values - problem.rows @ at.unknowns)
+            at = self._line_search(problem, at, change, target, first=not residuals)
             residuals.append(at.residual)
             if at.residual <= self.options.tolerance:
-                return at.unknowns, np.concatenate([at.force - external, at.multipliers]), tuple(residuals)
+                return at.unknowns, np.concatenate([at.force - problem.external, at.multipliers]), tuple(residuals)
         raise Retry(f"the residual stayed at {residuals[-1]:.1e} after {MAX_PASSES} Newton passes")
 
-    def _line_search(self, at: _Iterate, change: ndarray, target: ndarray, external: ndarray, rows: csr_array,
-                     first: bool) -> _Iterate:
+    def _line_search(self, problem: _Problem, at: _Iterate, change: ndarray, target: ndarray, first: bool) -> _Iterate:
         """Take the largest of a few shares of the change that lowers the residual; in the first pass the whole."""
         for scale in (1.0,) if first else (1.0, 0.5, 0.25, 0.125):
             multipliers = at.multipliers + scale * (target - at.multipliers)
-            trial = self._iterate(at.unknowns + scale * change, multipliers, external, rows)
+            trial = self._iterate(problem, at.unknowns + scale * change, multipliers)
             if np.isfinite(trial.residual) and (first or trial.residual < max(at.residual, self.options.tolerance)):
                 return trial
         if first:
             raise Retry("the first Newton pass turned a point inside out")
         raise Retry(f"the residual did not fall below {at.residual:.1e}")
 
-    def _iterate(self, unknowns: ndarray, multipliers: ndarray, external: ndarray, rows: csr_array) -> _Iterate:
+    def _iterate(self, problem: _Problem, unknowns: ndarray, multipliers: ndarray) -> _Iterate:
         """Response, force and residual at a trial displacement; the residual is infinite where a point inverts."""
         support = self.support
         gradient = self.operator.gradient(support.spread(unknowns))
@@ -193,10 +204,10 @@ class Step:
         response = self.motion.respond(gradient)
         soft = support.transfer.T @ (self.floor @ (support.transfer @ unknowns))
         force = support.gather(self.operator.force(response.piola)) + soft
-        wall = rows.T @ multipliers
-        unbalanced = np.linalg.norm((force - external + wall)[support.free])
-        size = self.force_before + sum(np.linalg.norm(part) for part in (force, external, wall))
-        noise = 1e-14 * np.linalg.norm(self.stiffness_scale * unknowns)    # all there is where nothing resists
+        wall = problem.rows.T @ multipliers
+        unbalanced = np.linalg.norm((force - problem.external + wall)[support.free])
+        size = problem.before + sum(np.linalg.norm(part) for part in (force, problem.external, wall))
+        noise = 1e-14 * np.linalg.norm(problem.diagonal * unknowns)    # all there is where nothing resists
         residual = 0.0 if unbalanced <= noise else float(unbalanced / size)
         return _Iterate(unknowns, multipliers, response, force, residual)
 
