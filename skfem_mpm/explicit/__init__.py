@@ -15,7 +15,7 @@ from ..checks import check_choice
 from ..grid import EDGES, Edges
 from ..kinematics import RATES
 from ..particles import Particles
-from .run import Run
+from .engine import ENGINES, make_run
 from .state import Choices, ExplicitState
 
 __all__ = ["ExplicitState", "explicit_steps"]
@@ -27,7 +27,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
                    steps: int, every: int = 1, method: str | Method = "mpm", strain: str = "small",
                    integrator: str = "musl", edges: Edges = "ghost", flip: float = 1.0, xpic: int = 0,
                    damping: float = 0.0, gravity: Any = None, ramp: float = 0.0, dt: float | None = None,
-                   safety: float = 0.8, refresh: int = 50) -> Iterator[ExplicitState]:
+                   safety: float = 0.8, refresh: int = 50, engine: str = "auto",
+                   threads: int = 1) -> Iterator[ExplicitState]:
     """Move a body in time; yields an :class:`ExplicitState` every ``every`` steps and after the last one.
 
     Parameters
@@ -66,6 +67,11 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
         Share of the stable step to take.
     refresh
         After how many steps the stable step is found again.
+    engine
+        ``numpy``, ``numba`` (compiled, needs the extra ``fast``), or ``auto``: numba if there are points enough for it to
+        pay and it is installed.  A state says which one made it, and a run that goes on keeps it.
+    threads
+        Threads of the numba engine; results do not depend on it.
 
     Raises
     ------
@@ -99,9 +105,10 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
         check_choice("method", method, METHODS)
         method = METHODS[method]
     for name, value, names in [("strain", strain, RATES), ("integrator", integrator, INTEGRATORS),
-                               ("edges", edges, EDGES)]:
+                               ("edges", edges, EDGES), ("engine", engine, ENGINES)]:
         check_choice(name, value, names)
-    for name, count, least in [("steps", steps, 1), ("every", every, 1), ("refresh", refresh, 1), ("xpic", xpic, 0)]:
+    for name, count, least in [("steps", steps, 1), ("every", every, 1), ("refresh", refresh, 1), ("xpic", xpic, 0),
+                               ("threads", threads, 1)]:
         if not (isinstance(count, Integral) and count >= least):
             raise ValueError(f"{name}: got {count}, expected a whole number of at least {least}.")
     for name, number in [("flip", flip), ("damping", damping), ("safety", safety)]:
@@ -115,7 +122,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
     if method.strain is not method.force:
         warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow slowly, at any time "
                       "step; 'cmpm-c' and 'gimp' do not.", UserWarning, stacklevel=2)
-    return _run(mesh, start, material, tuple(boundary), choices, int(steps), int(every), _load(gravity, ramp))
+    return _run(mesh, start, material, tuple(boundary), choices, int(steps), int(every), _load(gravity, ramp),
+                engine, int(threads))
 
 
 def _load(gravity: Any, ramp: float) -> Callable[[float], Any]:
@@ -126,11 +134,11 @@ def _load(gravity: Any, ramp: float) -> Callable[[float], Any]:
 
 
 def _run(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundary: tuple[Any, ...], choices: Choices,
-         steps: int, every: int, load: Callable[[float], Any]) -> Iterator[ExplicitState]:
+         steps: int, every: int, load: Callable[[float], Any], engine: str, threads: int) -> Iterator[ExplicitState]:
     if isinstance(start, Particles):
         ledger = dict.fromkeys(("plastic", "damped", "external"), 0.0)
         start = ExplicitState(0, 0.0, 0.0, -choices.refresh, start, boundary, ledger)
-    run = Run(mesh, start, material, choices, load)
+    run = make_run(engine, threads, mesh, start, material, choices, load)
     for count in range(1, steps + 1):
         run.advance()
         if count % every == 0 or count == steps:

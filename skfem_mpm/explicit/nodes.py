@@ -39,7 +39,7 @@ class Nodes:
         self.grid = grid = full.window(index)
         self.index = grid.locate(x)
         self.mapping = self._stencil(method.mass, x, length, edges, None)
-        self.mirrors = [mirror for plane in planes for mirror in _mirrors(grid, plane)]
+        self.mirrors = [mirror for plane in planes for mirror in mirrors(grid, plane)]
         self.fixed = np.any([plane.fixes(grid) for plane in planes] or [np.zeros((grid.dim, grid.nnodes))], axis=0)
         total = self.mapping.to_nodes(mass)
         for inside, outside, _ in self.mirrors:
@@ -114,7 +114,7 @@ class Nodes:
         return out
 
 
-def _mirrors(grid: Grid, plane: Any) -> list[tuple[ndarray, ndarray, ndarray]]:
+def mirrors(grid: Grid, plane: Any) -> list[tuple[ndarray, ndarray, ndarray]]:
     """Nodes next to a plane, their images right behind it, and the sign each component takes."""
     axis = grid.axes[plane.axis]
     on = int(np.abs(axis - plane.at).argmin())

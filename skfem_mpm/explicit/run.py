@@ -100,7 +100,10 @@ class Run:
         self.x = self.x + self.dt * moving
 
     def _update_stress(self, nodes: Nodes, velocity: ndarray) -> None:
-        gradient = self.dt * self._operator(nodes, nodes.strain).gradient(velocity)
+        self._respond(self.dt * self._operator(nodes, nodes.strain).gradient(velocity))
+
+    def _respond(self, gradient: ndarray) -> None:
+        """Stress, volume and history after the displacement gradient of a step."""
         motion = RATES[self.choices.strain](self.kinematics, self.dim, self.material, self.sigma, self.epsilon,
                                             self.history)
         ratio = motion.stretch(gradient)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from numpy import ndarray
+
 from ..basis import Method
 from ..grid import Edges
 from ..particles import Particles
@@ -28,7 +30,9 @@ class ExplicitState:
     energy
         Work and energies since the start: ``kinetic``, ``elastic`` (now), ``plastic``, ``damped``, ``external``.
     engine
-        What computed it.
+        What computed it, ``numpy`` or ``numba``.
+    order
+        ``(n,)``; in which order the engine keeps the points (``None`` for the order they have here).
     """
 
     step: int
@@ -39,6 +43,7 @@ class ExplicitState:
     boundary: tuple[Any, ...]
     energy: Mapping[str, float]
     engine: str = "numpy"
+    order: ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,6 @@
+"""How kernels are compiled."""
+
+from __future__ import annotations
+
+CHUNKS = 8
+OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": {"contract"}}
