@@ -56,8 +56,9 @@ class CompiledRun(Run):
         self.grad = np.empty((max(len(self.kinematics.rows(dim)), len(self.rows)), n))
         self.cell = np.empty((n, dim), dtype=np.int32)
         self.bands = np.zeros((CHUNKS, 2), dtype=np.int64)
-        self.limits, self.bad = np.empty((CHUNKS, 1 + 3 * dim)), np.zeros((CHUNKS, 2), dtype=np.int64)
-        self.lost = np.zeros(CHUNKS)
+        tiles = -(-n // stress.TILE)
+        self.limits, self.bad = np.empty((CHUNKS, 1 + 3 * dim)), np.zeros((tiles, 2), dtype=np.int64)
+        self.lost, self.taken = np.zeros(CHUNKS), np.zeros(tiles)
         self.box = self.x.min(axis=1), self.x.max(axis=1)
         self.window: Window | None = None
         self._buffers: dict[str, ndarray] = {}
@@ -182,7 +183,8 @@ class CompiledRun(Run):
         before = numba.get_num_threads()
         numba.set_num_threads(self.threads)
         try:
-            self._advance()
+            with np.errstate(invalid="ignore", over="ignore"):
+                self._advance()
         finally:
             numba.set_num_threads(before)
 
@@ -314,13 +316,14 @@ class CompiledRun(Run):
                                    table.kt)
         law = self.material
         if self.choices.strain == "small" and type(law) is LinearElastic:
-            stress.elastic(self.grad, self.sigma, self.volume, self.hoop, self.dim, law.lam, 2 * law.G, self.bad,
-                           self.rows)
+            kernel = getattr(stress, f"elastic{self.dim}")
+            kernel(self.grad, self.sigma, self.volume, self.hoop, law.lam, 2 * law.G, self.bad, self.rows)
         elif self.choices.strain == "small" and type(law) is VonMises and len(self.rows) > 1:
             constants = (law.lam, law.G, float(law.peak), float(law.residual), float(law.softening))
-            stress.von_mises(self.grad, self.sigma, self.history, self.volume, self.hoop, self.dim, constants, self.bad,
-                             self.lost, self.rows)
-            self.work["plastic"] += float(self.lost.sum())
+            kernel = getattr(stress, f"von_mises{self.dim}")
+            kernel(self.grad, self.sigma, self.history, self.volume, self.hoop, constants, self.bad, self.taken,
+                   self.rows)
+            self.work["plastic"] += float(self.taken.sum())
         else:
             self._respond(self.grad[:len(self.kinematics.rows(self.dim))])
             self.bad[:] = 0

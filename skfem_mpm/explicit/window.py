@@ -58,7 +58,7 @@ class Window:
         self.corners = np.array([np.array(offset) @ stride for offset in itertools.product((0, 1), repeat=dim)])
         self.faces = np.array([sign * stride[k] for k in range(dim) for sign in (-1, 1)])
         self.diagonals = np.array([(offset @ stride, sum(1 << (2 * k + (o > 0)) for k, o in enumerate(offset) if o))
-                                   for offset in around if np.count_nonzero(offset) > 1]).reshape(-1, 2)
+                                   for offset in around if np.count_nonzero(offset) > 1], dtype=np.int64).reshape(-1, 2)
 
     def _edge_sides(self, grid: Grid, first: ndarray, shape: ndarray, clip: bool) -> ndarray:
         """Sides of cells that are there, but for those at the edge of the grid if domains are clipped."""

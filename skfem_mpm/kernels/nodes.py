@@ -12,12 +12,15 @@ U = np.uint64
 
 @njit(**OPTIONS)
 def _sum_bands(copies, bands, g, gravity, n0, n1):
-    g[n0:n1] = 0.0
+    flat, columns = g.ravel(), g.shape[1]
+    for i in range(n0 * columns, n1 * columns):
+        flat[U(i)] = 0.0
     for c in range(CHUNKS):
-        copy = copies[c]
-        for i in range(max(n0, bands[c, 0]), min(n1, bands[c, 1])):
-            for j in range(g.shape[1]):
-                g[U(i), U(j)] += copy[U(i), U(j)]
+        low, high = bands[c, 0], bands[c, 1]
+        low, high = n0 if low < n0 else low, n1 if high > n1 else high
+        copy = copies[c].ravel()
+        for i in range(low * columns, high * columns):
+            flat[U(i)] += copy[U(i)]
     for k in range(len(gravity)):
         for i in range(n0, n1):
             g[i, 1 + len(gravity) + k] += gravity[k] * g[i, 0]

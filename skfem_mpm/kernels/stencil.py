@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from .options import CHUNKS, OPTIONS
+from .options import CHUNKS, INLINE, OPTIONS
 
 U = np.uint64
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _search(knots, k, cells, x):
     low, high = 0, cells
     while high - low > 1:
@@ -28,20 +28,25 @@ def _search(knots, k, cells, x):
 
 
 @njit(**OPTIONS)
-def _locate(x, knots, inverse, sizes, cell, p0, p1):
+def _locate(x, k, knots, inverse, cells, cell, p0, p1):
     """Cells hold their first faces, the last ones also their last; arithmetic is corrected against the true faces."""
-    for k in range(x.shape[0]):
-        first, scale, last = knots[k, 1], inverse[k, 1], sizes[k, 0] - 1
-        if sizes[k, 1]:
-            for p in range(p0, p1):
-                here = x[k, p]
-                c = min(max(np.int64((here - first) * scale), 0), last)
-                c -= here < knots[k, c + 1] and c > 0
-                c += here >= knots[k, c + 2] and c < last
-                cell[p, k] = c
-        else:
-            for p in range(p0, p1):
-                cell[p, k] = _search(knots, k, last + 1, x[k, p])
+    axis, last = knots[k], np.int64(cells - 1)
+    first, scale = axis[1], inverse[k, 1]
+    for q in range(p0, p1):
+        p = U(q)
+        here = x[k, p]
+        c = np.int64((here - first) * scale)
+        c = 0 if c < 0 else c
+        c = last if c > last else c
+        c -= np.int64(here < axis[U(c + 1)])
+        c += np.int64(here >= axis[U(c + 2)])
+        cell[p, k] = last if c > last else c
+
+
+@njit(**OPTIONS)
+def _search_all(x, k, knots, cells, cell, p0, p1):
+    for p in range(p0, p1):
+        cell[p, k] = _search(knots, k, cells, x[k, p])
 
 
 @njit(**OPTIONS)
@@ -55,9 +60,10 @@ def _mark(cell, frame, occupied, p0, p1):
 
 @njit(**OPTIONS)
 def _band(cell, frame, reach, bands, c, p0, p1):
-    low, high = cell[p0, 0], cell[p0, 0]
-    for p in range(p0, p1):
-        low, high = min(low, cell[p, 0]), max(high, cell[p, 0])
+    low = high = cell[p0, 0]
+    for q in range(p0, p1):
+        here = cell[U(q), 0]
+        low, high = here if here < low else low, here if here > high else high
     bands[c, 0] = (low - reach - frame[0, 0]) * frame[1, 0]
     bands[c, 1] = (high + 2 + reach - frame[0, 0]) * frame[1, 0]
 
@@ -68,7 +74,11 @@ def locate(x, knots, inverse, sizes, frame, reach, cell, bands, occupied):
     n = x.shape[1]
     for c in prange(CHUNKS):
         p0, p1 = n * c // CHUNKS, n * (c + 1) // CHUNKS
-        _locate(x, knots, inverse, sizes, cell, p0, p1)
+        for k in range(len(sizes)):
+            if sizes[k, 1]:
+                _locate(x, k, knots, inverse, sizes[k, 0], cell, p0, p1)
+            else:
+                _search_all(x, k, knots, sizes[k, 0], cell, p0, p1)
         if p1 > p0:
             _band(cell, frame, reach, bands, c, p0, p1)
         else:
@@ -135,7 +145,7 @@ def fill_gimp(x, length, knots, inverse, cell, base, w):
         _gimp(x, length, knots, inverse, cell, base, w, n * c // CHUNKS, n * (c + 1) // CHUNKS)
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _code(cell, frame, sides, p):
     node = 0
     for k in range(cell.shape[1]):

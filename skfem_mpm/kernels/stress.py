@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from .options import CHUNKS, OPTIONS
+from .options import INLINE, OPTIONS
 
 U = np.uint64
 TILE = 1024      # points handled at once: they stay in the cache between turning and law
@@ -57,7 +57,7 @@ def _turn2(sigma, grad, volume, hoop, p0, p1):
     return bad
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _rotation(a, b, c):
     """Cayley's rotation of the antisymmetric tensor with components xy = a, yz = b, xz = c."""
     scale = 2 / (1 + a * a + b * b + c * c)
@@ -67,7 +67,7 @@ def _rotation(a, b, c):
 
 
 @njit(**OPTIONS)
-def _turn3(sigma, grad, volume, p0, p1):
+def _turn3(sigma, grad, volume, hoop, p0, p1):
     bad = 0
     for q in range(p0, p1):
         p = U(q)
@@ -95,16 +95,6 @@ def _turn3(sigma, grad, volume, p0, p1):
 
 
 @njit(**OPTIONS)
-def _turn(sigma, grad, volume, hoop, dim, p0, p1):
-    """Turn stress, leave strain in ``grad``, update volume; counts the points turned inside out."""
-    if dim == 1:
-        return _turn1(sigma, grad, volume, hoop, p0, p1)
-    if dim == 2:
-        return _turn2(sigma, grad, volume, hoop, p0, p1)
-    return _turn3(sigma, grad, volume, p0, p1)
-
-
-@njit(**OPTIONS)
 def _elastic(strain, sigma, lam, twice, rows, p0, p1):
     bad = 0
     for q in range(p0, p1):
@@ -122,24 +112,33 @@ def _elastic(strain, sigma, lam, twice, rows, p0, p1):
 
 
 @njit(parallel=True, **OPTIONS)
-def elastic(grad, sigma, volume, hoop, dim, lam, twice, bad, rows):
-    """Linear elasticity; ``bad (CHUNKS, 2)`` counts points inside out and points not finite."""
-    n = len(volume)
-    for c in prange(CHUNKS):
-        _elastic_chunk(grad, sigma, volume, hoop, dim, lam, twice, bad[c], rows, n * c // CHUNKS,
-                       n * (c + 1) // CHUNKS)
+def elastic1(grad, sigma, volume, hoop, lam, twice, bad, rows):
+    """Linear elasticity; ``bad (tiles, 2)`` counts points inside out and points not finite."""
+    for tile in prange(len(bad)):
+        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
+        bad[tile, 0] = _turn1(sigma, grad, volume, hoop, p0, p1)
+        bad[tile, 1] = _elastic(grad, sigma, lam, twice, rows, p0, p1)
 
 
-@njit(**OPTIONS)
-def _elastic_chunk(grad, sigma, volume, hoop, dim, lam, twice, bad, rows, p0, p1):
-    bad[:] = 0
-    for start in range(p0, p1, TILE):
-        stop = min(start + TILE, p1)
-        bad[0] += _turn(sigma, grad, volume, hoop, dim, start, stop)
-        bad[1] += _elastic(grad, sigma, lam, twice, rows, start, stop)
+@njit(parallel=True, **OPTIONS)
+def elastic2(grad, sigma, volume, hoop, lam, twice, bad, rows):
+    """Linear elasticity in two dimensions."""
+    for tile in prange(len(bad)):
+        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
+        bad[tile, 0] = _turn2(sigma, grad, volume, hoop, p0, p1)
+        bad[tile, 1] = _elastic(grad, sigma, lam, twice, rows, p0, p1)
 
 
-@njit(**OPTIONS)
+@njit(parallel=True, **OPTIONS)
+def elastic3(grad, sigma, volume, hoop, lam, twice, bad, rows):
+    """Linear elasticity in three dimensions."""
+    for tile in prange(len(bad)):
+        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
+        bad[tile, 0] = _turn3(sigma, grad, volume, hoop, p0, p1)
+        bad[tile, 1] = _elastic(grad, sigma, lam, twice, rows, p0, p1)
+
+
+@njit(**INLINE)
 def _slip(q, eps_p, shear, peak, residual, softening):
     root = np.sqrt(3.0)
     cohesion = max(residual, peak + softening * eps_p)
@@ -148,9 +147,10 @@ def _slip(q, eps_p, shear, peak, residual, softening):
 
 
 @njit(**OPTIONS)
-def _von_mises(strain, sigma, eps_p, volume, lam, shear, peak, residual, softening, rows, p0, p1):
+def _von_mises(strain, sigma, eps_p, volume, constants, rows, p0, p1):
     """Closed-form return; leaves the energy that plastic flow takes in the first row of ``strain``."""
     bad = 0
+    lam, shear, peak, residual, softening = constants
     for k in range(p0, p1):
         p = U(k)
         part = lam * (strain[0, p] + strain[1, p] + strain[2, p])
@@ -180,9 +180,9 @@ def _von_mises(strain, sigma, eps_p, volume, lam, shear, peak, residual, softeni
 
 
 @njit(**OPTIONS)
-def _total(row, p0, p1):
+def _total(grad, p0, p1):
     a = b = c = d = 0.0
-    last = p0 + (p1 - p0) // 4 * 4
+    row, last = grad[0], p0 + (p1 - p0) // 4 * 4
     for p in range(p0, last, 4):
         a += row[p]
         b += row[p + 1]
@@ -193,23 +193,31 @@ def _total(row, p0, p1):
     return (a + b) + (c + d)
 
 
-@njit(**OPTIONS)
-def _von_mises_chunk(grad, sigma, eps_p, volume, hoop, dim, constants, bad, rows, p0, p1):
-    bad[:] = 0
-    lam, shear, peak, residual, softening = constants
-    work = 0.0
-    for start in range(p0, p1, TILE):
-        stop = min(start + TILE, p1)
-        bad[0] += _turn(sigma, grad, volume, hoop, dim, start, stop)
-        bad[1] += _von_mises(grad, sigma, eps_p, volume, lam, shear, peak, residual, softening, rows, start, stop)
-        work += _total(grad[0], start, stop)
-    return work
+@njit(parallel=True, **OPTIONS)
+def von_mises1(grad, sigma, eps_p, volume, hoop, constants, bad, work, rows):
+    """Von Mises plasticity with linear softening; ``work (tiles,)`` takes the energy that plastic flow takes."""
+    for tile in prange(len(bad)):
+        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
+        bad[tile, 0] = _turn1(sigma, grad, volume, hoop, p0, p1)
+        bad[tile, 1] = _von_mises(grad, sigma, eps_p, volume, constants, rows, p0, p1)
+        work[tile] = _total(grad, p0, p1)
 
 
 @njit(parallel=True, **OPTIONS)
-def von_mises(grad, sigma, eps_p, volume, hoop, dim, constants, bad, work, rows):
-    """Von Mises plasticity with linear softening; ``work (CHUNKS,)`` takes the energy that plastic flow takes."""
-    n = len(volume)
-    for c in prange(CHUNKS):
-        work[c] = _von_mises_chunk(grad, sigma, eps_p, volume, hoop, dim, constants, bad[c], rows, n * c // CHUNKS,
-                                   n * (c + 1) // CHUNKS)
+def von_mises2(grad, sigma, eps_p, volume, hoop, constants, bad, work, rows):
+    """Von Mises plasticity in two dimensions."""
+    for tile in prange(len(bad)):
+        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
+        bad[tile, 0] = _turn2(sigma, grad, volume, hoop, p0, p1)
+        bad[tile, 1] = _von_mises(grad, sigma, eps_p, volume, constants, rows, p0, p1)
+        work[tile] = _total(grad, p0, p1)
+
+
+@njit(parallel=True, **OPTIONS)
+def von_mises3(grad, sigma, eps_p, volume, hoop, constants, bad, work, rows):
+    """Von Mises plasticity in three dimensions."""
+    for tile in prange(len(bad)):
+        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
+        bad[tile, 0] = _turn3(sigma, grad, volume, hoop, p0, p1)
+        bad[tile, 1] = _von_mises(grad, sigma, eps_p, volume, constants, rows, p0, p1)
+        work[tile] = _total(grad, p0, p1)

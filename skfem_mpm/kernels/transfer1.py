@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from .options import CHUNKS, OPTIONS
+from .options import CHUNKS, INLINE, OPTIONS
 
 U = np.uint64
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _clear(g, band):
     for i in range(band[0], band[1]):
         for j in range(g.shape[1]):
@@ -120,7 +120,7 @@ def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt, p0, p
         x[0, p] += dt * moving
         work += m[p] * (moving - gained / 2)
         bad += v[0, p] * 0.0
-        low, high = min(low, x[0, p]), max(high, x[0, p])
+        low, high = x[0, p] if x[0, p] < low else low, x[0, p] if x[0, p] > high else high
         if len(grad):
             grad[0, p] = dt * slope
             if hoop:

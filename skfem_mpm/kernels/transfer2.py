@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from .options import CHUNKS, OPTIONS
+from .options import CHUNKS, INLINE, OPTIONS
 from .transfer1 import _clear
 
 U = np.uint64
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _node(base, frame, p):
     return U((base[p, 0] - frame[0, 0]) * frame[1, 0] + base[p, 1] - frame[0, 1])
 
@@ -137,7 +137,7 @@ def interpolate(base, w, nodal, frame, out, kt):
         _interpolate(base, w, nodal, frame, out, kt, n * c // CHUNKS, n * (c + 1) // CHUNKS)
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _rates(base, w, nodal, frame, kt, p):
     """Velocity, its change and its gradient at a point."""
     stride, node = U(frame[1, 0]), _node(base, frame, p)
@@ -181,7 +181,8 @@ def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt, p0, p
         workx += m[p] * (vx - gx / 2)
         worky += m[p] * (vy - gy / 2)
         bad += newx * 0.0 + newy * 0.0
-        lowx, highx, lowy, highy = min(lowx, atx), max(highx, atx), min(lowy, aty), max(highy, aty)
+        lowx, highx = atx if atx < lowx else lowx, atx if atx > highx else highx
+        lowy, highy = aty if aty < lowy else lowy, aty if aty > highy else highy
         if len(grad):
             grad[0, p], grad[1, p], grad[2, p], grad[3, p] = dt * xx, dt * xy, dt * yx, dt * yy
             if hoop:

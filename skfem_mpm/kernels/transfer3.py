@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from .options import CHUNKS, OPTIONS
+from .options import CHUNKS, INLINE, OPTIONS
 from .transfer1 import _clear
 
 U = np.uint64
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _node(base, frame, p):
     return U((base[p, 0] - frame[0, 0]) * frame[1, 0] + (base[p, 1] - frame[0, 1]) * frame[1, 1]
              + base[p, 2] - frame[0, 2])
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _stress(volume, sigma, p):
     size = -volume[p]
     return (size * sigma[0, p], size * sigma[1, p], size * sigma[2, p], size * sigma[3, p], size * sigma[4, p],
@@ -160,7 +160,7 @@ def interpolate(base, w, nodal, frame, out, kt):
         _interpolate(base, w, nodal, frame, out, kt, n * c // CHUNKS, n * (c + 1) // CHUNKS)
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _line(w, nodal, kt, p, node):
     """Sums along the last axis: velocity, its slope, and its change."""
     rx = ry = rz = sx = sy = sz = hx = hy = hz = 0.0
@@ -179,7 +179,7 @@ def _line(w, nodal, kt, p, node):
     return rx, ry, rz, sx, sy, sz, hx, hy, hz
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _rates(base, w, nodal, frame, kt, p):
     """Velocity, its change and its gradient at a point."""
     row, layer, start = U(frame[1, 1]), U(frame[1, 0]), _node(base, frame, p)
@@ -210,7 +210,7 @@ def _rates(base, w, nodal, frame, kt, p):
     return vx, vy, vz, gx, gy, gz, xx, xy, xz, yx, yy, yz, zx, zy, zz
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _write(grad, p, dt, xx, xy, xz, yx, yy, yz, zx, zy, zz):
     grad[0, p], grad[1, p], grad[2, p] = dt * xx, dt * xy, dt * xz
     grad[3, p], grad[4, p], grad[5, p] = dt * yx, dt * yy, dt * yz
@@ -235,8 +235,9 @@ def _g2p(base, w, nodal, frame, m, x, v, flip, dt, grad, limits, kt, p0, p1):
         worky += m[p] * (vy - gy / 2)
         workz += m[p] * (vz - gz / 2)
         bad += newx * 0.0 + newy * 0.0 + newz * 0.0
-        lowx, lowy, lowz = min(lowx, atx), min(lowy, aty), min(lowz, atz)
-        highx, highy, highz = max(highx, atx), max(highy, aty), max(highz, atz)
+        lowx, highx = atx if atx < lowx else lowx, atx if atx > highx else highx
+        lowy, highy = aty if aty < lowy else lowy, aty if aty > highy else highy
+        lowz, highz = atz if atz < lowz else lowz, atz if atz > highz else highz
         if len(grad):
             _write(grad, p, dt, xx, xy, xz, yx, yy, yz, zx, zy, zz)
     limits[0], limits[1], limits[2], limits[3] = bad, workx, worky, workz
