@@ -8,6 +8,8 @@ With lumped masses the largest eigenvalue of :math:`M^{-1}K` is that of the symm
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy import ndarray
 from scipy.sparse import bsr_array, csr_array
@@ -29,9 +31,22 @@ def highest_frequency(stiffness: csr_array, mass: ndarray, dim: int) -> float:
     norms = np.linalg.norm(blocks.data, axis=(1, 2)) if dim > 1 else np.abs(blocks.data[:, 0, 0])
     scale = 1 / np.sqrt(mass)
     matrix = csr_array((norms, blocks.indices, blocks.indptr), shape=(len(mass), len(mass)))
-    x, best = np.ones(len(mass)), np.inf
+    return power_bound(lambda x: scale * (matrix @ (scale * x)), np.ones(len(mass), dtype=bool))
+
+
+def power_bound(multiply: Callable[[ndarray], ndarray], active: ndarray) -> float:
+    """Root of an upper bound of the spectral radius of a non-negative matrix, from its products with a vector.
+
+    Parameters
+    ----------
+    multiply
+        Product of the matrix with a vector; zero where not ``active``.
+    active
+        ``(n,)``; which rows and columns count.
+    """
+    x, best = active.astype(float), np.inf
     for _ in range(ITERATIONS):
-        y = scale * (matrix @ (scale * x))
-        best = min(best, float((y / x).max()))
-        x = np.maximum(y / y.max(), 1e-3)      # stays positive, so each pass is a bound by itself
+        y = multiply(x)
+        best = min(best, float((y[active] / x[active]).max()))
+        x = np.where(active, np.maximum(y / y.max(), 1e-3), 0.0)      # stays positive, so each pass is a bound by itself
     return float(np.sqrt(best))

@@ -13,12 +13,13 @@ from numpy import ndarray
 from skfem import Mesh
 
 from ..basis import CMPMBasis, GIMPBasis, ParticleBasis
+from ..kernels import bound, stress
 from ..kernels import nodes as at_nodes
 from ..kernels import stencil as stencils
-from ..kernels import stress
 from ..kernels.axes import axes_arrays, cmpm_table
 from ..kernels.options import CHUNKS
 from ..materials import LinearElastic, VonMises
+from .bound import power_bound
 from .nodes import CUTOFF, Nodes
 from .run import Run
 from .state import Choices, ExplicitState
@@ -194,7 +195,7 @@ class CompiledRun(Run):
             self._sort()
         self._enter()
         if self.step - self.refreshed >= choices.refresh:
-            self._refresh(Nodes(self.grid, self.x, self.mass, self.length, choices.method, choices.edges, self.planes))
+            self._find_step()
         force, column = self._to_nodes()
         moved = self._accelerate(force, column)
         if choices.xpic:
@@ -210,6 +211,39 @@ class CompiledRun(Run):
         if not np.isfinite(self.limits[:, 0]).all():
             self._in_users_order()
             self._guard()
+
+    def _find_step(self) -> None:
+        """Find the stable time step of this layout."""
+        choices, method = self.choices, self.choices.method
+        if self.dim == 1 or self.hoop or type(self.material) not in (LinearElastic, VonMises):
+            nodes = Nodes(self.grid, self.x, self.mass, self.length, method, choices.edges, self.planes)
+            return self._refresh(nodes)
+        self.nodal = self._map(self.transfer.p2g_momentum, "momentum", 1 + self.dim, self.tables[method.mass], self.mass,
+                               self.velocity)
+        self._classify()
+        self._fill_others()
+        self._take_step(2 / self._highest_frequency(self.tables[method.force], self.tables[method.strain]))
+
+    def _highest_frequency(self, force: Table, strain: Table) -> float:
+        """As :func:`skfem_mpm.explicit.bound.highest_frequency`, from norms of blocks without a matrix."""
+        window, law, same = self.window, self.material, force is strain
+        reach = max(len(force.kt), len(strain.kt)) - 1 if same else {4: 2, 6: 2, 5: 2}.get(len(force.kt) + len(strain.kt), 3)
+        norms = np.zeros((window.nnodes, (2 * reach + 1) ** self.dim))
+        kernel = getattr(bound, f"norms{self.dim}")
+        kernel(force.base, force.w, strain.base, strain.w, self.volume, law.lam, law.G, window.frame, self.bands, reach, same,
+               norms, force.kt, strain.kt)
+        steps = (np.indices((2 * reach + 1,) * self.dim).reshape(self.dim, -1).T - reach) @ window.frame[1]
+        pad, middle = int(steps.max()), reach * (2 * reach + 1) ** (self.dim - 1)
+        active = self.active.astype(bool)
+        scale = np.zeros(window.nnodes)
+        scale[active] = 1 / np.sqrt(self.nodal[active, 0])
+
+        def multiply(x: ndarray) -> ndarray:
+            y = np.zeros(window.nnodes)
+            bound.multiply(norms, steps, same, middle, self.active, scale, np.pad(scale * x, pad), pad, y)
+            return y
+
+        return power_bound(multiply, active)
 
     def _to_nodes(self) -> tuple[ndarray, int]:
         """Mass and momentum of the nodes, and their force: an array and the column where it starts."""

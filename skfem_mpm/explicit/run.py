@@ -131,7 +131,10 @@ class Run:
         zero = np.zeros_like(self.sigma)
         moduli = self.material.tangent(zero, zero, self.history, self.kinematics.rows(self.dim))
         stiffness = operator.tangent(moduli, number, self.dim * int(known.sum()))
-        stable = 2 / highest_frequency(stiffness, nodes.mass[known], self.dim)
+        self._take_step(2 / highest_frequency(stiffness, nodes.mass[known], self.dim))
+
+    def _take_step(self, stable: float) -> None:
+        """Choose the time step, knowing the stable one."""
         self.refreshed = self.step
         if self.choices.dt is None:
             self.dt = self.choices.safety * stable
