@@ -11,14 +11,15 @@ from .elements import (
     ElementQuadGIMP,
     patch_dofs,
 )
+from .explicit import explicit_steps
 from .implicit import implicit_steps
 from .kinematics import axisymmetric, plane_strain, solid, uniaxial
-from .materials import Hencky, LinearElastic
+from .materials import Hencky, LinearElastic, VonMises
 from .particles import Particles
 
 __all__ = [
     "METHODS", "CMPMBasis", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP", "ElementQuadCMPM",
     "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "Method", "NotConvergedError", "OutsideGridError",
-    "ParticleBasis", "Particles", "UnstableError", "axisymmetric", "implicit_steps", "patch_dofs", "plane_strain",
+    "ParticleBasis", "Particles", "UnstableError", "VonMises", "axisymmetric", "explicit_steps", "implicit_steps", "patch_dofs", "plane_strain",
     "solid", "uniaxial",
 ]

@@ -115,6 +115,8 @@ class Response:
         ``(m, n)``; first Piola stress relative to the start of the step, one row per gradient row.
     sigma, epsilon
         ``(ncomp, n)``; Cauchy stress and (logarithmic only) elastic logarithmic strain at its end.
+    history
+        ``(k, n)``; what the law remembers at its end.
     ratio
         ``(n,)``; volume at the end over volume at the start.
     tangent
@@ -124,6 +126,7 @@ class Response:
     piola: ndarray
     sigma: ndarray
     epsilon: ndarray | None
+    history: ndarray
     ratio: ndarray
     tangent: Callable[[], ndarray]
 
@@ -133,11 +136,13 @@ class Small:
 
     name = "small"
 
-    def __init__(self, kinematics: Kinematics, dim: int, law: Any, sigma: ndarray, epsilon: ndarray | None):
+    def __init__(self, kinematics: Kinematics, dim: int, law: Any, sigma: ndarray, epsilon: ndarray | None,
+                 history: ndarray | None = None):
         if law.kirchhoff:
             raise ValueError(f"strain: got 'small' with {type(law).__name__}, which needs strain='logarithmic'; use "
                              "LinearElastic for small strain.")
         self.kinematics, self.dim, self.law, self.sigma = kinematics, dim, law, sigma
+        self.history = np.zeros((len(law.history), sigma.shape[1])) if history is None else history
         self.places = kinematics.rows(dim)
         self.symmetric = [kinematics.packed_index(place) for place in self.places]
 
@@ -150,9 +155,32 @@ class Small:
         strain = np.zeros_like(self.sigma)
         for row, (i, j), packed in zip(gradient, self.places, self.symmetric):
             strain[packed] += row if i == j else row / 2
-        sigma = self.law.update(strain, self.sigma, self.kinematics.components)
-        return Response(sigma[self.symmetric], sigma, None, self.stretch(gradient),
-                        lambda: self.law.tangent(strain, sigma, self.places))
+        before = self._carried(gradient)
+        sigma, history = self.law.update(strain, before, self.history, self.kinematics.components)
+        return Response(sigma[self.symmetric], sigma, None, history, self.stretch(gradient),
+                        lambda: self.law.tangent(strain, before, self.history, self.places))
+
+    def _carried(self, gradient: ndarray) -> ndarray:
+        """Stress at the start of the step as the increment sees it."""
+        return self.sigma
+
+
+class Objective(Small):
+    """Small-strain increments of the Jaumann rate: the stress turns with the spin of the step, exactly (Hughes-Winget)."""
+
+    def _carried(self, gradient: ndarray) -> ndarray:
+        dim = self.dim
+        if dim == 1:
+            return self.sigma
+        half = gradient[:dim * dim].reshape(dim, dim, -1)
+        half = (half - half.transpose(1, 0, 2)) / 4
+        unit = np.eye(dim)[:, :, None]
+        turn = _product(_inverse(unit - half), unit + half)
+        packed = self.symmetric[:dim * dim]
+        block = self.sigma[packed].reshape(dim, dim, -1)
+        turned = self.sigma.copy()
+        turned[packed] = _product(_product(turn, block), turn.transpose(1, 0, 2)).reshape(dim * dim, -1)
+        return turned
 
 
 class Logarithmic(Small):
@@ -164,7 +192,9 @@ class Logarithmic(Small):
 
     name = "logarithmic"
 
-    def __init__(self, kinematics: Kinematics, dim: int, law: Any, sigma: ndarray, epsilon: ndarray | None):
+    def __init__(self, kinematics: Kinematics, dim: int, law: Any, sigma: ndarray, epsilon: ndarray | None,
+                 history: ndarray | None = None):
+        self.history = np.zeros((len(law.history), sigma.shape[1])) if history is None else history
         self.kinematics, self.dim, self.law = kinematics, dim, law
         self.places = kinematics.rows(dim)
         self.symmetric = [kinematics.packed_index(place) for place in self.places]
@@ -197,7 +227,10 @@ class Logarithmic(Small):
         epsilon[self.symmetric[:dim * dim]] = _compose(value, vector).reshape(dim * dim, -1)
         if self.kinematics.hoop:
             epsilon[2] += np.log1p(gradient[-1])
-        stress = self.law.update(epsilon, np.zeros_like(epsilon), components)
+        trial = epsilon
+        stress, history = self.law.update(trial, np.zeros_like(trial), self.history, components)
+        if self.law.history:
+            epsilon = self.law.elastic_strain(stress, components)    # plastic flow has taken the rest
         scale = 1 / self.dilation if self.law.kirchhoff else ratio
         sigma = stress / np.exp(self._trace(epsilon)) if self.law.kirchhoff else stress
         inverse = _inverse(F)
@@ -208,10 +241,10 @@ class Logarithmic(Small):
             piola[-1] = scale * stress[2] / (1 + gradient[-1])
 
         def tangent() -> ndarray:
-            spatial = self._spatial(epsilon, stress, value, vector)
+            spatial = self._spatial(trial, stress, value, vector)
             return _pull_back(scale * spatial, inverse, 1 / (1 + gradient[-1]) if self.kinematics.hoop else None)
 
-        return Response(piola, sigma, epsilon, ratio, tangent)
+        return Response(piola, sigma, epsilon, history, ratio, tangent)
 
     def _excess(self, gradient: ndarray) -> ndarray:
         """The left Cauchy-Green tensor at the end of the step, less the unit tensor, ``(dim, dim, n)``."""
@@ -226,7 +259,7 @@ class Logarithmic(Small):
         rate[:dim * dim, :dim * dim] = _strain_rate(value, vector)
         if self.kinematics.hoop:
             rate[-1, -1] = 1
-        law = self.law.tangent(epsilon, stress, self.places)
+        law = self.law.tangent(epsilon, np.zeros_like(epsilon), self.history, self.places)
         if law.shape[2] == 1:
             spatial = (law[:, :, 0] @ rate.reshape(m, -1)).reshape(rate.shape)
         else:
@@ -240,7 +273,8 @@ class Logarithmic(Small):
         return spatial
 
 
-STRAINS = {"small": Small, "logarithmic": Logarithmic}
+STRAINS = {"small": Small, "logarithmic": Logarithmic}          # of the implicit solver
+RATES = {"small": Objective, "logarithmic": Logarithmic}        # of the explicit one, where bodies turn
 
 
 def _deformation(gradient: ndarray, dim: int) -> ndarray:

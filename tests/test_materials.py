@@ -10,6 +10,7 @@ from skfem_mpm import Hencky, LinearElastic, axisymmetric, plane_strain, solid, 
 from skfem_mpm.kinematics import Logarithmic
 
 MOTIONS = [(uniaxial, 1), (plane_strain, 2), (axisymmetric, 1), (axisymmetric, 2), (solid, 3)]
+NOTHING = np.zeros((0, 1))                               # the history of a law that has none
 every_motion = pytest.mark.parametrize("kinematics, dim", MOTIONS, ids=lambda value: getattr(value, "name", value))
 every_law = pytest.mark.parametrize("Law", [LinearElastic, Hencky])
 STRETCHES = [0.1, 0.5, 1.0, 1.5, 10.0]
@@ -81,18 +82,18 @@ def test_the_tangent_is_the_derivative_of_the_update(Law, kinematics, dim):
     change[:] = 0
     for row, (i, j) in zip(gradient, places):
         change[kinematics.packed_index((i, j))] += row if i == j else row / 2
-    before, after = (law.update(e, stress, kinematics.components) for e in (strain, strain + change))
+    before, after = (law.update(e, stress, NOTHING, kinematics.components)[0] for e in (strain, strain + change))
     moved = after - before
     expected = np.stack([moved[kinematics.packed_index(place)] for place in places])
-    tangent = np.broadcast_to(law.tangent(strain, stress, places), (len(places), len(places), 5))
+    tangent = np.broadcast_to(law.tangent(strain, stress, NOTHING, places), (len(places), len(places), 5))
     assert_allclose(np.einsum("qrn,rn->qn", tangent, gradient), expected, atol=1e-14)
 
 
 @every_law
 def test_updates_are_pure(Law):
     law, strain, stress = Law(E=2.0, nu=0.2), np.ones((4, 3)), np.full((4, 3), 2.0)
-    first = law.update(strain, stress, plane_strain.components)
-    assert_array_equal(first, law.update(strain, stress, plane_strain.components))
+    first = law.update(strain, stress, NOTHING, plane_strain.components)[0]
+    assert_array_equal(first, law.update(strain, stress, NOTHING, plane_strain.components)[0])
     assert (strain == 1).all() and (stress == 2).all()
     with pytest.raises(FrozenInstanceError):
         law.E = 1.0

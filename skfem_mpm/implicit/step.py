@@ -72,7 +72,8 @@ class Step:
         sigma = particles.sigma
         if sigma is None:
             sigma = np.zeros((kinematics.ncomp, particles.n))
-        return STRAINS[self.options.strain](kinematics, particles.dim, self.material, sigma, particles.epsilon)
+        return STRAINS[self.options.strain](kinematics, particles.dim, self.material, sigma, particles.epsilon,
+                                            particles.history)
 
     def _operator(self, force: type, strain: type) -> Any:
         support, points = self.support, self.particles
@@ -106,7 +107,7 @@ class Step:
     def _elastic(self) -> ndarray:
         """Moduli of the unstressed material, ``(m, m, 1)`` or ``(m, m, n)``."""
         zero = np.zeros((self.particles.kinematics.ncomp, self.particles.n))
-        return self.material.tangent(zero, zero, self.motion.places)
+        return self.material.tangent(zero, zero, self.motion.history, self.motion.places)
 
     # -- a step ------------------------------------------------------------------------------------------------------
 
@@ -242,7 +243,8 @@ class Step:
             raise Retry("a point turned inside out")
         response = self.motion.respond(gradient)
         particles = replace(old, x=old.x + support.mapping.to_points(u), volume=old.volume * ratio,
-                            sigma=response.sigma, epsilon=response.epsilon)
+                            sigma=response.sigma, epsilon=response.epsilon,
+                            history=response.history if self.material.history else None)
         displacement = np.zeros((old.dim, self.mesh.nvertices))
         displacement[:, support.grid.vertices.ravel()] = u
         boundary = tuple(item.advanced(share) for item in self.state.boundary)

@@ -21,7 +21,7 @@ from .inputs import ARRAYS, check_chosen, check_fields, check_kinematics, check_
 if TYPE_CHECKING:
     import meshio
 
-OPTIONAL = ("length", "sigma", "epsilon")
+OPTIONAL = ("length", "sigma", "epsilon", "velocity", "history")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,6 +48,10 @@ class Particles:
         Packed Cauchy stress ``(ncomp, n)``, tension positive; ``None`` is a body free of stress.
     epsilon
         Packed elastic logarithmic strain ``(ncomp, n)``; finite strain only.
+    velocity
+        ``(dim, n)``; explicit runs only.
+    history
+        What the law remembers, ``(k, n)``; laws with a history only.
     fields
         The user's own fields by name, ``(..., n)``; forms see them as ``w.name``.
 
@@ -82,6 +86,8 @@ class Particles:
     length: ndarray | None = None
     sigma: ndarray | None = None
     epsilon: ndarray | None = None
+    velocity: ndarray | None = None
+    history: ndarray | None = None
     fields: Mapping[str, ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -89,7 +95,8 @@ class Particles:
         held = {"x": check_positions(self.x, self.kinematics)}
         dim, n = held["x"].shape
         ncomp = self.kinematics.ncomp
-        shapes = {"volume": (n,), "mass": (n,), "length": (dim, n), "sigma": (ncomp, n), "epsilon": (ncomp, n)}
+        shapes = {"volume": (n,), "mass": (n,), "length": (dim, n), "sigma": (ncomp, n), "epsilon": (ncomp, n),
+                  "velocity": (dim, n), "history": (None, n)}
         for name, shape in shapes.items():
             if (value := getattr(self, name)) is not None or name not in OPTIONAL:
                 held[name] = check_array(name, value, shape)
@@ -103,7 +110,7 @@ class Particles:
     def __reduce__(self) -> tuple:
         # A mapping proxy cannot be pickled, and unpickled arrays are writable unless they go through __post_init__.
         return type(self), (self.x, self.volume, self.mass, self.kinematics,
-                            self.length, self.sigma, self.epsilon, dict(self.fields))
+                            self.length, self.sigma, self.epsilon, self.velocity, self.history, dict(self.fields))
 
     def __len__(self) -> int:
         return self.n

@@ -1,0 +1,59 @@
+"""Which engine runs: decided once, at the start, from what there is to do and never from a clock."""
+
+from __future__ import annotations
+
+import importlib.util
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+from skfem import Mesh
+
+from ..basis import CMPMBasis, GIMPBasis, Method, ParticleBasis
+from .run import Run
+from .state import Choices, ExplicitState
+
+ENGINES = ("auto", "numpy", "numba")
+# Points from which numba pays, by dimension and number of nodes per axis of the widest stencil: below, a run of a thousand
+# steps takes less time than numba takes to load.
+WORTHWHILE = {(1, 2): 5000, (1, 4): 5000, (2, 2): 1000, (2, 4): 500, (3, 2): 400, (3, 4): 100}
+COMPILED = {ParticleBasis, GIMPBasis, CMPMBasis}
+
+
+def make_run(engine: str, threads: int, mesh: Mesh, start: ExplicitState, material: Any, choices: Choices,
+             load: Callable[[float], Any]) -> Run:
+    """The run of the chosen engine.
+
+    Raises
+    ------
+    ImportError
+        If ``engine`` is ``numba`` and numba is not installed.
+    ValueError
+        If ``engine`` is ``numba`` and the method has a basis of the user's own.
+    """
+    method = choices.method
+    known = {method.mass, method.strain, method.force} <= COMPILED
+    if engine == "numba" and not known:
+        raise ValueError("engine: got 'numba' with a basis of your own, which has no compiled stencil; use "
+                         "engine='numpy'.")
+    wanted = engine == "numba" or (engine == "auto" and known and _pays(start, method))
+    if not wanted:
+        return Run(mesh, start, material, choices, load)
+    if importlib.util.find_spec("numba") is None:
+        if engine == "numba":
+            raise ImportError("engine: got 'numba', which is not installed; install the extra with "
+                              "pip install 'skfem-mpm[fast]', or use engine='numpy'.")
+        warnings.warn("a run of this size is many times faster with numba: pip install 'skfem-mpm[fast]'.", UserWarning,
+                      stacklevel=4)
+        return Run(mesh, start, material, choices, load)
+    from .compiled import CompiledRun      # numba is slow to import
+    return CompiledRun(mesh, start, material, choices, load, threads)
+
+
+def _pays(start: ExplicitState, method: Method) -> bool:
+    """Whether numba pays; a run that goes on keeps its engine."""
+    if start.step:
+        return start.engine == "numba"
+    particles = start.particles
+    width = 2 if {method.mass, method.strain, method.force} == {ParticleBasis} else 4
+    return particles.n >= WORTHWHILE[particles.dim, width]

@@ -1,0 +1,10 @@
+"""The compiled twins (numba) of an explicit step: stencils, mapping to the grid and back, stress.
+
+Kernels work on the solver's own arrays: those of points component-major ``(k, n)``, those of nodes node-major
+``(nnodes, k)``.  Points are cut into ``CHUNKS`` pieces whatever the number of threads; each adds to its own copy of the
+band of nodes that it touches, and copies are summed in a fixed order, so results do not depend on threads.
+
+A ``prange`` body only calls serial functions on a range: a loop written into it runs slower by far.  No kernel takes a
+function as an argument: those are compiled anew in every process.  Tuples such as ``kt = (0,) * K`` are there for their
+length, which is known when a kernel is compiled.
+"""

@@ -1,0 +1,218 @@
+"""Cells and stencils: for each point and axis the first node, and value and slope of its K nodes.
+
+Axes come as ``knots (dim, size + 2)``, coordinates with one more node at either end, and ``inverse (dim, size + 1)``, one
+over the widths between them; cell ``c`` lies between ``knots[c + 1]`` and ``knots[c + 2]``.  ``sizes (dim, 2)`` holds the
+number of cells and whether they are equal.  ``frame`` holds first node and stride of the window of nodes, per axis.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from .options import CHUNKS, INLINE, OPTIONS
+
+U = np.uint64
+
+
+@njit(**INLINE)
+def _search(knots, k, cells, x):
+    low, high = 0, cells
+    while high - low > 1:
+        middle = (low + high) // 2
+        if x < knots[k, middle + 1]:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+@njit(**OPTIONS)
+def _locate(x, k, knots, inverse, cells, cell, p0, p1):
+    """Cells hold their first faces, the last ones also their last; arithmetic is corrected against the true faces."""
+    axis, last = knots[k], np.int64(cells - 1)
+    first, scale = axis[1], inverse[k, 1]
+    for q in range(p0, p1):
+        p = U(q)
+        here = x[k, p]
+        c = np.int64((here - first) * scale)
+        c = 0 if c < 0 else c
+        c = last if c > last else c
+        c -= np.int64(here < axis[U(c + 1)])
+        c += np.int64(here >= axis[U(c + 2)])
+        cell[p, k] = last if c > last else c
+
+
+@njit(**OPTIONS)
+def _search_all(x, k, knots, cells, cell, p0, p1):
+    for p in range(p0, p1):
+        cell[p, k] = _search(knots, k, cells, x[k, p])
+
+
+@njit(**OPTIONS)
+def _mark(cell, frame, occupied, p0, p1):
+    for p in range(p0, p1):
+        node = 0
+        for k in range(cell.shape[1]):
+            node += (cell[p, k] - frame[0, k]) * frame[1, k]
+        occupied[node] = 1
+
+
+@njit(**OPTIONS)
+def _band(cell, frame, reach, bands, c, p0, p1):
+    low = high = cell[p0, 0]
+    for q in range(p0, p1):
+        here = cell[U(q), 0]
+        low, high = here if here < low else low, here if here > high else high
+    bands[c, 0] = (low - reach - frame[0, 0]) * frame[1, 0]
+    bands[c, 1] = (high + 2 + reach - frame[0, 0]) * frame[1, 0]
+
+
+@njit(parallel=True, **OPTIONS)
+def locate(x, knots, inverse, sizes, frame, reach, cell, bands, occupied):
+    """Cells of the points, and the band of nodes that each chunk may touch; marks occupied cells if there is room."""
+    n = x.shape[1]
+    for c in prange(CHUNKS):
+        p0, p1 = n * c // CHUNKS, n * (c + 1) // CHUNKS
+        for k in range(len(sizes)):
+            if sizes[k, 1]:
+                _locate(x, k, knots, inverse, sizes[k, 0], cell, p0, p1)
+            else:
+                _search_all(x, k, knots, sizes[k, 0], cell, p0, p1)
+        if p1 > p0:
+            _band(cell, frame, reach, bands, c, p0, p1)
+        else:
+            bands[c, 0] = bands[c, 1] = 0
+        if len(occupied):
+            _mark(cell, frame, occupied, p0, p1)
+
+
+@njit(**OPTIONS)
+def _linear(x, knots, inverse, cell, w, p0, p1):
+    for k in range(x.shape[0]):
+        for q in range(p0, p1):
+            p = U(q)
+            c = U(cell[p, k])
+            scale = inverse[k, c + U(1)]
+            t = (x[k, p] - knots[k, c + U(1)]) * scale
+            w[p, k, 0, 0] = 1 - t
+            w[p, k, 0, 1] = t
+            w[p, k, 1, 0] = -scale
+            w[p, k, 1, 1] = scale
+
+
+@njit(parallel=True, **OPTIONS)
+def fill_linear(x, knots, inverse, cell, w):
+    """Finite element functions; the first node is that of the cell."""
+    n = x.shape[1]
+    for c in prange(CHUNKS):
+        _linear(x, knots, inverse, cell, w, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+
+
+@njit(**OPTIONS)
+def _gimp(x, length, knots, inverse, cell, base, w, p0, p1):
+    for k in range(x.shape[0]):
+        for q in range(p0, p1):
+            p = U(q)
+            half = length[k, p] / 2
+            start = x[k, p] - knots[k, U(cell[p, k] + 1)] - half
+            shift = start < 0
+            b = cell[p, k] - shift
+            base[p, k] = b
+            u = U(b + 1)
+            scale, beyond = inverse[k, u], inverse[k, u + U(1)]
+            width = knots[k, u + U(1)] - knots[k, u]
+            start = start + width if shift else start
+            end = start + 2 * half
+            inner = min(end, width)
+            length0, length1 = inner - start, end - inner
+            total = 1 / (length0 + length1)
+            share0, share1 = length0 * total, length1 * total
+            middle0, middle1 = (inner + start) * scale / 2, length1 * beyond / 2
+            w[p, k, 0, 0] = share0 * (1 - middle0)
+            w[p, k, 0, 1] = share0 * middle0 + share1 * (1 - middle1)
+            w[p, k, 0, 2] = share1 * middle1
+            w[p, k, 1, 0] = -share0 * scale
+            w[p, k, 1, 1] = share0 * scale - share1 * beyond
+            w[p, k, 1, 2] = share1 * beyond
+
+
+@njit(parallel=True, **OPTIONS)
+def fill_gimp(x, length, knots, inverse, cell, base, w):
+    """GIMP with domains no longer than a cell, which touch three nodes per axis, away from edges."""
+    n = x.shape[1]
+    for c in prange(CHUNKS):
+        _gimp(x, length, knots, inverse, cell, base, w, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+
+
+@njit(**INLINE)
+def _code(cell, frame, sides, p):
+    node = 0
+    for k in range(cell.shape[1]):
+        node += (cell[p, k] - frame[0, k]) * frame[1, k]
+    return sides[node]
+
+
+@njit(**OPTIONS)
+def _gimp_masked(x, length, knots, inverse, sizes, cell, frame, sides, base, w, p0, p1):
+    for p in range(p0, p1):
+        code = _code(cell, frame, sides, p)
+        for k in range(x.shape[0]):
+            c = cell[p, k]
+            base[p, k] = c - 1
+            left, right = code >> (2 * k) & 1, code >> (2 * k + 1) & 1
+            width, half = knots[k, c + 2] - knots[k, c + 1], length[k, p] / 2
+            start, end = x[k, p] - knots[k, c + 1] - half, x[k, p] - knots[k, c + 1] + half
+            inner0, inner1 = max(start, 0.0), min(end, width)
+            length0, length1, length2 = max(-start, 0.0) * left, inner1 - inner0, max(end - width, 0.0) * right
+            total = 1 / (length0 + length1 + length2)
+            share0, share1, share2 = length0 * total, length1 * total, length2 * total
+            middle0 = 1 + min(start, 0.0) * inverse[k, c] / 2
+            middle1 = (inner0 + inner1) * inverse[k, c + 1] / 2
+            middle2 = max(end - width, 0.0) * inverse[k, c + 2] / 2
+            first, last = c > 0, c < sizes[k, 0] - 1             # nodes that do not exist carry nothing
+            w[p, k, 0, 0] = share0 * (1 - middle0) * first
+            w[p, k, 0, 1] = share0 * middle0 + share1 * (1 - middle1)
+            w[p, k, 0, 2] = share1 * middle1 + share2 * (1 - middle2)
+            w[p, k, 0, 3] = share2 * middle2 * last
+            w[p, k, 1, 0] = -share0 * inverse[k, c] * first
+            w[p, k, 1, 1] = share0 * inverse[k, c] - share1 * inverse[k, c + 1]
+            w[p, k, 1, 2] = share1 * inverse[k, c + 1] - share2 * inverse[k, c + 2]
+            w[p, k, 1, 3] = share2 * inverse[k, c + 2] * last
+
+
+@njit(parallel=True, **OPTIONS)
+def fill_gimp_masked(x, length, knots, inverse, sizes, cell, frame, sides, base, w):
+    """GIMP with domains of any length up to the neighbours, cut off where ``sides`` has no neighbour."""
+    n = x.shape[1]
+    for c in prange(CHUNKS):
+        _gimp_masked(x, length, knots, inverse, sizes, cell, frame, sides, base, w, n * c // CHUNKS,
+                     n * (c + 1) // CHUNKS)
+
+
+@njit(**OPTIONS)
+def _cmpm(x, knots, inverse, sizes, cell, frame, sides, table, base, w, p0, p1):
+    for q in range(p0, p1):
+        p = U(q)
+        code = _code(cell, frame, sides, p)
+        for k in range(x.shape[0]):
+            c = cell[p, k]
+            base[p, k] = c - 1
+            scale = inverse[k, c + 1]
+            t = (x[k, p] - knots[k, c + 1]) * scale
+            row = U(0 if sizes[k, 1] else c)
+            kind = U(code >> (2 * k) & 3)
+            for j in range(4):
+                u = U(j)
+                a0, a1 = table[k, row, kind, 0, u], table[k, row, kind, 1, u]
+                a2, a3 = table[k, row, kind, 2, u], table[k, row, kind, 3, u]
+                w[p, k, 0, u] = a0 + t * (a1 + t * (a2 + t * a3))
+                w[p, k, 1, u] = (a1 + t * (2 * a2 + t * (3 * a3))) * scale
+
+
+@njit(parallel=True, **OPTIONS)
+def fill_cmpm(x, knots, inverse, sizes, cell, frame, sides, table, base, w):
+    """CMPM from the polynomials of :func:`cmpm_table`."""
+    n = x.shape[1]
+    for c in prange(CHUNKS):
+        _cmpm(x, knots, inverse, sizes, cell, frame, sides, table, base, w, n * c // CHUNKS, n * (c + 1) // CHUNKS)
