@@ -166,7 +166,7 @@ class Small:
 
 
 class Objective(Small):
-    """Small-strain increments of the Jaumann rate: the stress turns with the spin of the step, exactly (Hughes-Winget)."""
+    """Small-strain increments of the Jaumann rate: stress turns with the spin of the step, by Hughes and Winget."""
 
     def _carried(self, gradient: ndarray) -> ndarray:
         dim = self.dim

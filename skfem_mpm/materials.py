@@ -79,8 +79,10 @@ class LinearElastic:
         return self.trial(strain, stress, components), history
 
     def tangent(self, strain: ndarray, stress: ndarray, history: ndarray, places: Places) -> ndarray:
-        """Derivative of the updated stress at ``places`` by (unsymmetric) strain there, ``(m, m, n)``, or ``(m, m, 1)``
-        where it is the same for all points; arguments as they were given to :meth:`update`.
+        """Derivative of the updated stress at ``places`` by (unsymmetric) strain there.
+
+        ``(m, m, n)``, or ``(m, m, 1)`` where it is the same for all points; arguments as they were given to
+        :meth:`update`.
         """
         delta = np.eye(3)
         return np.array([[[self.lam * delta[i, j] * delta[k, m]
@@ -126,8 +128,9 @@ class VonMises(LinearElastic):
     r"""Von Mises soil with linear softening: :math:`\sqrt{J_2} \le c` with :math:`c` falling from a peak to a residual.
 
     :math:`c = \max(c_r, c_p + H \bar\varepsilon^p)` with the accumulated plastic strain
-    :math:`\bar\varepsilon^p = \sum \sqrt{\tfrac23 \Delta e^p : \Delta e^p}` and :math:`H \le 0`.  In plane strain :math:`c`
-    is the undrained shear strength.  The return to the yield surface has a closed form: with :math:`q = \sqrt{3 J_2}`
+    :math:`\bar\varepsilon^p = \sum \sqrt{\tfrac23 \Delta e^p : \Delta e^p}` and :math:`H \le 0`.  In plane strain
+    :math:`c` is the undrained shear strength.  The return to the yield surface has a closed form: with
+    :math:`q = \sqrt{3 J_2}`
 
     .. math:: \Delta\bar\varepsilon^p = \max\left(0, \min\left(\frac{q - \sqrt3 c}{3G + \sqrt3 H},
               \frac{q - \sqrt3 c_r}{3G}\right)\right)
@@ -149,8 +152,8 @@ class VonMises(LinearElastic):
 
     References
     ----------
-    Softening law and numbers of section 4 of Gonzalez Acosta et al. (2017); that :math:`c` bounds :math:`\sqrt{J_2}` (and not
-    half the triaxial strength) is our reading.
+    Softening law and numbers of section 4 of Gonzalez Acosta et al. (2017); that :math:`c` bounds :math:`\sqrt{J_2}`
+    (and not half the triaxial strength) is our reading.
 
     Examples
     --------
@@ -175,8 +178,8 @@ class VonMises(LinearElastic):
         if not self.softening <= 0:
             raise ValueError(f"softening: got {self.softening}, expected zero or a negative modulus.")
         if not 3 * self.G + np.sqrt(3) * self.softening > 0:
-            raise ValueError(f"softening: got {self.softening}, steeper than the return mapping can follow; expected more "
-                             f"than {-np.sqrt(3) * self.G:g} (-sqrt(3) G).")
+            raise ValueError(f"softening: got {self.softening}, steeper than the return mapping can follow; expected "
+                             f"more than {-np.sqrt(3) * self.G:g} (-sqrt(3) G).")
 
     def update(self, strain: ndarray, stress: ndarray, history: ndarray,
                components: Places) -> tuple[ndarray, ndarray]:
@@ -219,7 +222,8 @@ class VonMises(LinearElastic):
         """Deviatoric stress, and its size q, the square root of 3 J_2."""
         mean = stress[:3].sum(axis=0) / 3
         deviator = stress - np.stack([mean if i == j else 0 * mean for i, j in components])
-        return deviator, np.sqrt(1.5 * sum(row * row * (1 if i == j else 2) for row, (i, j) in zip(deviator, components)))
+        square = sum(row * row * (1 if i == j else 2) for row, (i, j) in zip(deviator, components))
+        return deviator, np.sqrt(1.5 * square)
 
     def _slip(self, q: ndarray, eps_p: ndarray) -> ndarray:
         """Plastic strain increment that brings ``q`` back to the yield surface."""

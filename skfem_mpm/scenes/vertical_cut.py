@@ -64,7 +64,7 @@ class VerticalCut:
         The rms of what is left of it after taking off its least-squares plane over the 16 nearest points, relative to
         unit weight times height.
         """
-        x, stress = state.particles.x, state.particles.sigma[0]
+        x, stress = state.particles.x, state.particles.stress[0, 0]
         _, near = cKDTree(x.T).query(x.T, k=16)
         offset = x[:, near] - x[:, :, None]
         basis = np.concatenate([np.ones((1, *near.shape)), offset]).transpose(1, 2, 0)
@@ -77,9 +77,9 @@ def vertical_cut(h: float = 0.05, *, dim: int = 2, per_cell: int = 2, base: str 
                  width: float = 2.0, room: float = 3.0) -> VerticalCut:
     """A vertical cut that fails under its own weight; SI units.
 
-    From the paper: 1 m by 2 m, E = 400 kPa, nu = 0.35, cohesion 6 kPa falling to 1 kPa with a softening modulus of -25 kPa,
-    left face without horizontal displacement, smooth base.  Ours, for the paper does not print them: density, gravity, cell
-    size, points per cell, loading, and that cohesion bounds sqrt(J2).
+    From the paper: 1 m by 2 m, E = 400 kPa, nu = 0.35, cohesion 6 kPa falling to 1 kPa with a softening modulus of
+    -25 kPa, left face without horizontal displacement, smooth base.  Ours, for the paper does not print them: density,
+    gravity, cell size, points per cell, loading, and that cohesion bounds sqrt(J2).
 
     Parameters
     ----------
