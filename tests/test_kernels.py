@@ -63,7 +63,8 @@ def test_cells_and_linear_functions(points):
 
 
 @pytest.mark.parametrize("share", [0.5, 1.0])
-def test_gimp_of_narrow_domains(points, share):
+def test_gimp_of_narrow_domains(share):
+    points = Points(grid_of(2, False))
     smallest = min(step.min() for step in points.grid.steps)
     length = np.full_like(points.x, share * smallest)
     w = points.room(3)

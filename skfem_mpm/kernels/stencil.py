@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from .options import CHUNKS, INLINE, OPTIONS
+from .options import CHUNKS, INLINE, OPTIONS, TILE
 
 U = np.uint64
 
@@ -105,44 +105,45 @@ def _linear(x, knots, inverse, cell, w, p0, p1):
 def fill_linear(x, knots, inverse, cell, w):
     """Finite element functions; the first node is that of the cell."""
     n = x.shape[1]
-    for c in prange(CHUNKS):
-        _linear(x, knots, inverse, cell, w, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+    for tile in prange(-(-n // TILE)):
+        _linear(x, knots, inverse, cell, w, tile * TILE, min((tile + 1) * TILE, n))
 
 
 @njit(**OPTIONS)
-def _gimp(x, length, knots, inverse, cell, base, w, p0, p1):
+def _gimp(x, length, step, knots, inverse, cell, base, w, p0, p1):
     for k in range(x.shape[0]):
+        scale, axis = inverse[k, 1], knots[k]
         for q in range(p0, p1):
             p = U(q)
-            half = length[k, p] / 2
-            start = x[k, p] - knots[k, U(cell[p, k] + 1)] - half
-            shift = start < 0
-            b = cell[p, k] - shift
-            base[p, k] = b
-            u = U(b + 1)
-            scale, beyond = inverse[k, u], inverse[k, u + U(1)]
-            width = knots[k, u + U(1)] - knots[k, u]
-            start = start + width if shift else start
-            end = start + 2 * half
-            inner = min(end, width)
-            length0, length1 = inner - start, end - inner
-            total = 1 / (length0 + length1)
-            share0, share1 = length0 * total, length1 * total
-            middle0, middle1 = (inner + start) * scale / 2, length1 * beyond / 2
-            w[p, k, 0, 0] = share0 * (1 - middle0)
-            w[p, k, 0, 1] = share0 * middle0 + share1 * (1 - middle1)
-            w[p, k, 0, 2] = share1 * middle1
-            w[p, k, 1, 0] = -share0 * scale
-            w[p, k, 1, 1] = share0 * scale - share1 * beyond
-            w[p, k, 1, 2] = share1 * beyond
+            size = length[k, p * step] * scale
+            c = cell[p, k]
+            a = (x[k, p] - axis[U(c + 1)]) * scale - size / 2       # start of the domain, in cells from the first node
+            left = a < 0
+            base[p, k] = c - np.int32(left)
+            a += np.float64(left)
+            e = a + size
+            b1 = e if e < 1 else 1.0
+            b2 = e - b1
+            share, middle = 1 / size, (b1 * b1 - a * a) / 2
+            right, slope = b2 * b2 / 2, share * scale
+            w[p, k, 0, 0] = (b1 - a - middle) * share
+            w[p, k, 0, 1] = (middle + b2 - right) * share
+            w[p, k, 0, 2] = right * share
+            w[p, k, 1, 0] = (a - b1) * slope
+            w[p, k, 1, 1] = (b1 - a - b2) * slope
+            w[p, k, 1, 2] = b2 * slope
 
 
 @njit(parallel=True, **OPTIONS)
 def fill_gimp(x, length, knots, inverse, cell, base, w):
-    """GIMP with domains no longer than a cell, which touch three nodes per axis, away from edges."""
+    """GIMP on equal cells with domains no longer than a cell, which touch three nodes per axis, away from edges.
+
+    ``length`` is ``(dim, n)``, or ``(dim, 1)`` if all points have the same.
+    """
     n = x.shape[1]
-    for c in prange(CHUNKS):
-        _gimp(x, length, knots, inverse, cell, base, w, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+    step = U(length.shape[1] > 1)
+    for tile in prange(-(-n // TILE)):
+        _gimp(x, length, step, knots, inverse, cell, base, w, tile * TILE, min((tile + 1) * TILE, n))
 
 
 @njit(**INLINE)
@@ -185,9 +186,8 @@ def _gimp_masked(x, length, knots, inverse, sizes, cell, frame, sides, base, w, 
 def fill_gimp_masked(x, length, knots, inverse, sizes, cell, frame, sides, base, w):
     """GIMP with domains of any length up to the neighbours, cut off where ``sides`` has no neighbour."""
     n = x.shape[1]
-    for c in prange(CHUNKS):
-        _gimp_masked(x, length, knots, inverse, sizes, cell, frame, sides, base, w, n * c // CHUNKS,
-                     n * (c + 1) // CHUNKS)
+    for tile in prange(-(-n // TILE)):
+        _gimp_masked(x, length, knots, inverse, sizes, cell, frame, sides, base, w, tile * TILE, min((tile + 1) * TILE, n))
 
 
 @njit(**OPTIONS)
@@ -214,5 +214,5 @@ def _cmpm(x, knots, inverse, sizes, cell, frame, sides, table, base, w, p0, p1):
 def fill_cmpm(x, knots, inverse, sizes, cell, frame, sides, table, base, w):
     """CMPM from the polynomials of :func:`cmpm_table`."""
     n = x.shape[1]
-    for c in prange(CHUNKS):
-        _cmpm(x, knots, inverse, sizes, cell, frame, sides, table, base, w, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+    for tile in prange(-(-n // TILE)):
+        _cmpm(x, knots, inverse, sizes, cell, frame, sides, table, base, w, tile * TILE, min((tile + 1) * TILE, n))
