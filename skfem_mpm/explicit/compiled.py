@@ -108,6 +108,7 @@ class CompiledRun(Run):
         self.check_domains = wide or (self.choices.edges == "ghost" and method.mass is GIMPBasis)
         equal = bool(self.sizes[:, 1].all())
         self.narrow = method.mass is GIMPBasis and self.choices.edges == "ghost" and equal and not wide
+        self.quick = method.mass is ParticleBasis and equal
         self.same = self.length is not None and bool((self.length == self.length[:, :1]).all())
         self.reach = int(bases != {ParticleBasis})
         self.others = tuple(bases - {method.mass})
@@ -132,10 +133,28 @@ class CompiledRun(Run):
             self._check_domains()
         occupied = self._buffer("occupied", self.window.nnodes if self.others else 0, dtype=np.uint8)
         occupied[:] = 0
+        mapping = self.tables[self.choices.method.mass]
+        if self.narrow:
+            length = self.length[:, :1].copy() if self.same else self.length
+            stencils.place_gimp(self.x, length, self.knots, self.inverse, self.window.frame, mapping.base, self.bands,
+                                mapping.w)
+            if not self.others:
+                return
+        elif self.quick:
+            stencils.place_linear(self.x, self.knots, self.inverse, self.sizes, self.window.frame, self.cell,
+                                  self.bands, occupied, mapping.w)
+            self._widen()
+            return
         stencils.locate(self.x, self.knots, self.inverse, self.sizes, self.window.frame, self.reach, self.cell,
                         self.bands, occupied)
-        mapping = self.choices.method.mass
-        self.fill[mapping](self.tables[mapping], self.window.sides)
+        if not self.narrow:
+            self.fill[self.choices.method.mass](mapping, self.window.sides)
+
+    def _widen(self) -> None:
+        """Bands of the linear stencil, wide enough for the other ones of the method."""
+        if self.reach:
+            used = self.bands[:, 1] > self.bands[:, 0]
+            self.bands[used] += self.window.frame[1, 0] * np.array([-1, 1])
 
     def _check_domains(self) -> None:
         """Look at each domain if some may leave the grid or reach too far."""
@@ -152,12 +171,8 @@ class CompiledRun(Run):
         stencils.fill_linear(self.x, self.knots, self.inverse, self.cell, table.w)
 
     def _fill_gimp(self, table: Table, sides: ndarray) -> None:
-        if self.narrow:
-            length = self.length[:, :1].copy() if self.same else self.length
-            stencils.fill_gimp(self.x, length, self.knots, self.inverse, self.cell, table.base, table.w)
-        else:
-            stencils.fill_gimp_masked(self.x, self.length, self.knots, self.inverse, self.sizes, self.cell,
-                                      self.window.frame, sides, table.base, table.w)
+        stencils.fill_gimp_masked(self.x, self.length, self.knots, self.inverse, self.sizes, self.cell,
+                                  self.window.frame, sides, table.base, table.w)
 
     def _fill_cmpm(self, table: Table, sides: ndarray) -> None:
         stencils.fill_cmpm(self.x, self.knots, self.inverse, self.sizes, self.cell, self.window.frame, sides,
@@ -226,8 +241,8 @@ class CompiledRun(Run):
         if self.dim == 1 or self.hoop or type(self.material) not in (LinearElastic, VonMises):
             nodes = Nodes(self.grid, self.x, self.mass, self.length, method, choices.edges, self.planes)
             return self._refresh(nodes)
-        self.nodal = self._map(self.transfer.p2g_momentum, "momentum", 1 + self.dim, self.tables[method.mass], self.mass,
-                               self.velocity)
+        self.nodal = self._map(self.transfer.p2g_momentum, "momentum", 1 + self.dim, self.tables[method.mass],
+                               self.mass, self.velocity)
         self._classify()
         self._fill_others()
         self._take_step(2 / self._highest_frequency(self.tables[method.force], self.tables[method.strain]))
@@ -235,11 +250,12 @@ class CompiledRun(Run):
     def _highest_frequency(self, force: Table, strain: Table) -> float:
         """As :func:`skfem_mpm.explicit.bound.highest_frequency`, from norms of blocks without a matrix."""
         window, law, same = self.window, self.material, force is strain
-        reach = max(len(force.kt), len(strain.kt)) - 1 if same else {4: 2, 6: 2, 5: 2}.get(len(force.kt) + len(strain.kt), 3)
+        widest, both = max(len(force.kt), len(strain.kt)), len(force.kt) + len(strain.kt)
+        reach = widest - 1 if same else 2 if both < 7 else 3
         norms = np.zeros((window.nnodes, (2 * reach + 1) ** self.dim))
         kernel = getattr(bound, f"norms{self.dim}")
-        kernel(force.base, force.w, strain.base, strain.w, self.volume, law.lam, law.G, window.frame, self.bands, reach, same,
-               norms, force.kt, strain.kt)
+        kernel(force.base, force.w, strain.base, strain.w, self.volume, law.lam, law.G, window.frame, self.bands, reach,
+               same, norms, force.kt, strain.kt)
         steps = (np.indices((2 * reach + 1,) * self.dim).reshape(self.dim, -1).T - reach) @ window.frame[1]
         pad, middle = int(steps.max()), reach * (2 * reach + 1) ** (self.dim - 1)
         active = self.active.astype(bool)
@@ -277,7 +293,8 @@ class CompiledRun(Run):
         if weight is not None:
             force += weight
         signs = np.ascontiguousarray(window.signs[:, 1:1 + dim])
-        at_nodes.gather(force, window.inside, window.outside, signs, window.around, self.active, self.lights, self.light)
+        at_nodes.gather(force, window.inside, window.outside, signs, window.around, self.active, self.lights,
+                        self.light)
         return force, 0
 
     def _classify(self) -> None:
@@ -381,8 +398,8 @@ class CompiledRun(Run):
         if self.law == "elastic":
             self.stress(self.grad, self.sigma, self.volume, self.hoop, *self.constants, self.bad, self.rows)
         elif self.law == "von_mises":
-            self.stress(self.grad, self.sigma, self.history, self.volume, self.hoop, self.constants, self.bad, self.taken,
-                        self.rows)
+            self.stress(self.grad, self.sigma, self.history, self.volume, self.hoop, self.constants, self.bad,
+                        self.taken, self.rows)
             self.work["plastic"] += float(self.taken.sum())
         else:
             self._respond(self.grad[:len(self.kinematics.rows(self.dim))])

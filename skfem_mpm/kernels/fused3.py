@@ -1,4 +1,4 @@
-"""Moving points and updating their stress in one go, in three dimensions: the gradient stays in the cache."""
+"""Moving points and updating their stress in one go, three dimensions: gradients stay in the cache."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from .transfer3 import _g2p
 
 
 @njit(**OPTIONS)
-def _elastic_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, lam, twice, rows, t0, t1):
+def _elastic_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, lam, twice, rows,
+                   t0, t1):
     grad = np.empty((9, TILE))
     for tile in range(t0, t1):
         p0, p1 = tile * TILE, min((tile + 1) * TILE, len(m))
@@ -25,13 +26,13 @@ def elastic(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sig
     """Move points, then linear elasticity; ``limits`` and ``bad`` hold a row for each tile."""
     n = len(bad)
     for c in prange(CHUNKS):
-        _elastic_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, lam, twice, rows,
-                       n * c // CHUNKS, n * (c + 1) // CHUNKS)
+        _elastic_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, lam, twice,
+                       rows, n * c // CHUNKS, n * (c + 1) // CHUNKS)
 
 
 @njit(**OPTIONS)
-def _von_mises_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, eps_p, constants, work,
-                     rows, t0, t1):
+def _von_mises_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, eps_p, constants,
+                     work, rows, t0, t1):
     grad = np.empty((9, TILE))
     for tile in range(t0, t1):
         p0, p1 = tile * TILE, min((tile + 1) * TILE, len(m))
@@ -42,9 +43,10 @@ def _von_mises_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad
 
 
 @njit(parallel=True, **OPTIONS)
-def von_mises(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, eps_p, constants, work, rows):
+def von_mises(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, eps_p, constants, work,
+              rows):
     """Move points, then von Mises plasticity."""
     n = len(bad)
     for c in prange(CHUNKS):
-        _von_mises_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, eps_p, constants,
-                         work, rows, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+        _von_mises_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, eps_p,
+                         constants, work, rows, n * c // CHUNKS, n * (c + 1) // CHUNKS)

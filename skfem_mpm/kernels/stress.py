@@ -1,7 +1,7 @@
 """Stress at the points: turning it with the spin of the step, then the law, branch-free over component rows.
 
-``grad`` comes in with the rows of the displacement gradient and is used up: turning leaves the packed strain increment in
-it; ``first`` is the point in its first column.  Each law counts the points whose stress is not finite.
+``grad`` comes in with the rows of the displacement gradient and is used up: turning leaves the packed strain increment
+in it; ``first`` is the point in its first column.  Each law counts the points whose stress is not finite.
 """
 
 from __future__ import annotations

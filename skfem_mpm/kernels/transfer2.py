@@ -1,8 +1,8 @@
 """Mapping to the grid and back in two dimensions.
 
-``base (n, dim)`` and ``w (n, dim, 2, K)`` are stencils, ``kt`` a tuple of length K, ``frame`` first node and stride of the
-window of nodes per axis.  Grid columns are mass, momentum, force; ``copies`` and ``bands`` hold one grid and the nodes it
-may touch for each chunk.  ``nodal`` holds the velocity of nodes after the step and its change.
+``base (n, dim)`` and ``w (n, dim, 2, K)`` are stencils, ``kt`` a tuple of length K, ``frame`` first node and stride of
+the window of nodes per axis.  Grid columns are mass, momentum, force; ``copies`` and ``bands`` hold one grid and the
+nodes it may touch for each chunk.  ``nodal`` holds the velocity of nodes after the step and its change.
 """
 
 from __future__ import annotations
