@@ -117,6 +117,7 @@ class CompiledRun(Run):
         widths = {ParticleBasis: 2, CMPMBasis: 4, GIMPBasis: 3 if self.narrow else 4}
         self.tables = {basis: Table(widths[basis], n, dim, self.cell if basis is ParticleBasis else None)
                        for basis in bases}
+        self.together = method.force is method.mass and self.choices.integrator != "usf"
         self.fill = {ParticleBasis: self._fill_linear, GIMPBasis: self._fill_gimp, CMPMBasis: self._fill_cmpm}
 
     def _enter(self) -> None:
@@ -241,8 +242,7 @@ class CompiledRun(Run):
         if self.dim == 1 or self.hoop or type(self.material) not in (LinearElastic, VonMises):
             nodes = Nodes(self.grid, self.x, self.mass, self.length, method, choices.edges, self.planes)
             return self._refresh(nodes)
-        self.nodal = self._map(self.transfer.p2g_momentum, "momentum", 1 + self.dim, self.tables[method.mass],
-                               self.mass, self.velocity)
+        self._map_points(np.zeros(0))
         self._classify()
         self._fill_others()
         self._take_step(2 / self._highest_frequency(self.tables[method.force], self.tables[method.strain]))
@@ -272,30 +272,31 @@ class CompiledRun(Run):
     def _to_nodes(self) -> tuple[ndarray, int]:
         """Mass and momentum of the nodes, and their force: an array and the column where it starts."""
         dim, window, method = self.dim, self.window, self.choices.method
-        mapping, forces = self.tables[method.mass], self.tables[method.force]
-        together = forces is mapping and self.choices.integrator != "usf"
         gravity = self.load(self.time + self.dt / 2)
-        none = np.zeros(0)
-        if together:
-            self.nodal = self._map(self.transfer.p2g, "all", 1 + 2 * dim, mapping, self.mass, self.velocity,
-                                   self.volume, self.sigma, self.x, self.hoop,
-                                   gravity=none if gravity is None else gravity)
-        else:
-            self.nodal = self._map(self.transfer.p2g_momentum, "momentum", 1 + dim, mapping, self.mass, self.velocity)
-            weight = None if gravity is None else self.nodal[:, :1] * gravity
+        self._map_points(np.zeros(0) if gravity is None else gravity)
+        weight = None if self.together or gravity is None else self.nodal[:, :1] * gravity
         self._classify()
         self._fill_others()
-        if together:
+        if self.together:
             return self.nodal, 1 + dim
         if self.choices.integrator == "usf":
             self._update(self.tables[method.strain], self._plain(self.nodal))
-        force = self._map(self.transfer.p2g_force, "force", dim, forces, self.volume, self.sigma, self.x, self.hoop)
+        force = self._map(self.transfer.p2g_force, "force", dim, self.tables[method.force], self.volume, self.sigma, self.x, self.hoop)
         if weight is not None:
             force += weight
         signs = np.ascontiguousarray(window.signs[:, 1:1 + dim])
         at_nodes.gather(force, window.inside, window.outside, signs, window.around, self.active, self.lights,
                         self.light)
         return force, 0
+
+    def _map_points(self, gravity: ndarray) -> None:
+        """Mass and momentum of the nodes, and their force too if it has the same stencil and is known."""
+        dim, mapping = self.dim, self.tables[self.choices.method.mass]
+        if self.together:
+            self.nodal = self._map(self.transfer.p2g, "all", 1 + 2 * dim, mapping, self.mass, self.velocity,
+                                   self.volume, self.sigma, self.x, self.hoop, gravity=gravity)
+        else:
+            self.nodal = self._map(self.transfer.p2g_momentum, "momentum", 1 + dim, mapping, self.mass, self.velocity)
 
     def _classify(self) -> None:
         """Active and light nodes; sums go to the active ones."""
