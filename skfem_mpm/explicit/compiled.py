@@ -281,7 +281,8 @@ class CompiledRun(Run):
             return self.nodal, 1 + dim
         if self.choices.integrator == "usf":
             self._update(self.tables[method.strain], self._plain(self.nodal))
-        force = self._map(self.transfer.p2g_force, "force", dim, self.tables[method.force], self.volume, self.sigma, self.x, self.hoop)
+        force = self._map(self.transfer.p2g_force, "force", dim, self.tables[method.force], self.volume, self.sigma,
+                          self.x, self.hoop)
         if weight is not None:
             force += weight
         signs = np.ascontiguousarray(window.signs[:, 1:1 + dim])
