@@ -1,8 +1,9 @@
 """How many point-steps per second does an explicit run do, and what share of the memory bound is that?
 
-A block of jittered points in motion (4 per cell in 2-D, 8 in 3-D, small strain), driver and checks included, no snapshot
-but the last.  Prints one JSON line per case: median, smallest and largest of the repeats; the bytes of points and stencils
-that a step moves at least; and their share of what a triad over arrays beyond the cache moves in the same run.
+A block of jittered points in motion (4 per cell in 2-D, 8 in 3-D, small strain), driver and checks included, no
+snapshot but the last.  Prints one JSON line per case: median, smallest and largest of the repeats; the bytes of points
+and stencils that a step moves at least; and their share of what a triad over arrays beyond the cache moves in the same
+run.
 
     python benchmarks/explicit.py                                     100k points, 2-D, elastic, mpm, gimp and cmpm
     python benchmarks/explicit.py --dim 3 --points 10000 100000 --threads 1 2

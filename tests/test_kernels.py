@@ -62,12 +62,23 @@ def test_cells_and_linear_functions(points):
     points.check(points.grid.linear(points.x, points.index), points.cell, w)
 
 
+def test_cells_and_linear_functions_in_one_go():
+    points = Points(grid_of(2, False))
+    cell, occupied, bands, w = np.empty_like(points.cell), points.occupied * 0, points.bands * 0, points.room(2)
+    kernels.place_linear(points.x, *points.axes, points.window.frame, cell, bands, occupied, w)
+    assert (cell == points.cell).all() and (occupied == points.occupied).all()
+    stride = points.window.frame[1, 0]
+    assert (bands[:, 0] == points.bands[:, 0] + stride).all() and (bands[:, 1] == points.bands[:, 1] - stride).all()
+    points.check(points.grid.linear(points.x, points.index), cell, w)
+
+
 @pytest.mark.parametrize("share", [0.5, 1.0])
-def test_gimp_of_narrow_domains(points, share):
+def test_gimp_of_narrow_domains(share):
+    points = Points(grid_of(2, False))
     smallest = min(step.min() for step in points.grid.steps)
     length = np.full_like(points.x, share * smallest)
     w = points.room(3)
-    kernels.fill_gimp(points.x, length, *points.axes[:2], points.cell, points.base, w)
+    kernels.place_gimp(points.x, length, *points.axes[:2], points.window.frame, points.base, points.bands, w)
     expected = points.grid.gimp(points.x, points.index, length)
     if expected.w.shape[2] == 3:
         points.check(expected, points.base, w)
@@ -87,7 +98,8 @@ def test_gimp_and_cmpm_with_masks(points, masked):
     w, length = points.room(4), np.full_like(points.x, 0.2)
     knots, inverse, sizes = points.axes
     kernels.fill_gimp_masked(points.x, length, knots, inverse, sizes, points.cell, window.frame, code, points.base, w)
-    dense = grid._stencil(points.x, points.index, 4, lambda k, part, knots: _gimp(points, sides, length, k, part, knots))
+    dense = grid._stencil(points.x, points.index, 4,
+                          lambda k, part, knots: _gimp(points, sides, length, k, part, knots))
     points.check(dense, points.base, w)
     kernels.fill_cmpm(points.x, knots, inverse, sizes, points.cell, window.frame, code, cmpm_table(grid.axes),
                       points.base, w)

@@ -68,8 +68,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
     refresh
         After how many steps the stable step is found again.
     engine
-        ``numpy``, ``numba`` (compiled, needs the extra ``fast``), or ``auto``: numba if there are points enough for it to
-        pay and it is installed.  A state says which one made it, and a run that goes on keeps it.
+        ``numpy``, ``numba`` (compiled, needs the extra ``fast``), or ``auto``: numba if there are points enough for it
+        to pay and it is installed.  A state says which one made it, and a run that goes on keeps it.
     threads
         Threads of the numba engine; results do not depend on it.
 

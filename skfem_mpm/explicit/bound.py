@@ -48,5 +48,5 @@ def power_bound(multiply: Callable[[ndarray], ndarray], active: ndarray) -> floa
     for _ in range(ITERATIONS):
         y = multiply(x)
         best = min(best, float((y[active] / x[active]).max()))
-        x = np.where(active, np.maximum(y / y.max(), 1e-3), 0.0)      # stays positive, so each pass is a bound by itself
+        x = np.where(active, np.maximum(y / y.max(), 1e-3), 0.0)   # stays positive, so each pass is a bound by itself
     return float(np.sqrt(best))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -17,7 +18,7 @@ from ..kernels import bound, stress
 from ..kernels import nodes as at_nodes
 from ..kernels import stencil as stencils
 from ..kernels.axes import axes_arrays, cmpm_table
-from ..kernels.options import CHUNKS
+from ..kernels.options import CHUNKS, TILE
 from ..materials import LinearElastic, VonMises
 from .bound import power_bound
 from .nodes import CUTOFF, Nodes
@@ -57,13 +58,14 @@ class CompiledRun(Run):
         self.grad = np.empty((max(len(self.kinematics.rows(dim)), len(self.rows)), n))
         self.cell = np.empty((n, dim), dtype=np.int32)
         self.bands = np.zeros((CHUNKS, 2), dtype=np.int64)
-        tiles = -(-n // stress.TILE)
-        self.limits, self.bad = np.empty((CHUNKS, 1 + 3 * dim)), np.zeros((tiles, 2), dtype=np.int64)
+        tiles = -(-n // TILE)
+        self.limits, self.bad = np.empty((tiles, 1 + 3 * dim)), np.zeros((tiles, 2), dtype=np.int64)
         self.lost, self.taken = np.zeros(CHUNKS), np.zeros(tiles)
         self.box = self.x.min(axis=1), self.x.max(axis=1)
         self.window: Window | None = None
         self._buffers: dict[str, ndarray] = {}
         self._choose_stencils()
+        self._choose_law()
 
     # -- order of the points -----------------------------------------------------------------------------------------
 
@@ -104,7 +106,10 @@ class CompiledRun(Run):
         self.longest = np.zeros(dim) if self.length is None else self.length.max(axis=1)
         wide = bool((self.longest > width * (1 + 1e-9)).any())
         self.check_domains = wide or (self.choices.edges == "ghost" and method.mass is GIMPBasis)
-        self.narrow = method.mass is GIMPBasis and self.choices.edges == "ghost" and not wide
+        equal = bool(self.sizes[:, 1].all())
+        self.narrow = method.mass is GIMPBasis and self.choices.edges == "ghost" and equal and not wide
+        self.quick = method.mass is ParticleBasis and equal
+        self.same = self.length is not None and bool((self.length == self.length[:, :1]).all())
         self.reach = int(bases != {ParticleBasis})
         self.others = tuple(bases - {method.mass})
         if CMPMBasis in bases:
@@ -112,6 +117,7 @@ class CompiledRun(Run):
         widths = {ParticleBasis: 2, CMPMBasis: 4, GIMPBasis: 3 if self.narrow else 4}
         self.tables = {basis: Table(widths[basis], n, dim, self.cell if basis is ParticleBasis else None)
                        for basis in bases}
+        self.together = method.force is method.mass and self.choices.integrator != "usf"
         self.fill = {ParticleBasis: self._fill_linear, GIMPBasis: self._fill_gimp, CMPMBasis: self._fill_cmpm}
 
     def _enter(self) -> None:
@@ -128,10 +134,28 @@ class CompiledRun(Run):
             self._check_domains()
         occupied = self._buffer("occupied", self.window.nnodes if self.others else 0, dtype=np.uint8)
         occupied[:] = 0
+        mapping = self.tables[self.choices.method.mass]
+        if self.narrow:
+            length = self.length[:, :1].copy() if self.same else self.length
+            stencils.place_gimp(self.x, length, self.knots, self.inverse, self.window.frame, mapping.base, self.bands,
+                                mapping.w)
+            if not self.others:
+                return
+        elif self.quick:
+            stencils.place_linear(self.x, self.knots, self.inverse, self.sizes, self.window.frame, self.cell,
+                                  self.bands, occupied, mapping.w)
+            self._widen()
+            return
         stencils.locate(self.x, self.knots, self.inverse, self.sizes, self.window.frame, self.reach, self.cell,
                         self.bands, occupied)
-        mapping = self.choices.method.mass
-        self.fill[mapping](self.tables[mapping], self.window.sides)
+        if not self.narrow:
+            self.fill[self.choices.method.mass](mapping, self.window.sides)
+
+    def _widen(self) -> None:
+        """Bands of the linear stencil, wide enough for the other ones of the method."""
+        if self.reach:
+            used = self.bands[:, 1] > self.bands[:, 0]
+            self.bands[used] += self.window.frame[1, 0] * np.array([-1, 1])
 
     def _check_domains(self) -> None:
         """Look at each domain if some may leave the grid or reach too far."""
@@ -148,11 +172,8 @@ class CompiledRun(Run):
         stencils.fill_linear(self.x, self.knots, self.inverse, self.cell, table.w)
 
     def _fill_gimp(self, table: Table, sides: ndarray) -> None:
-        if self.narrow:
-            stencils.fill_gimp(self.x, self.length, self.knots, self.inverse, self.cell, table.base, table.w)
-        else:
-            stencils.fill_gimp_masked(self.x, self.length, self.knots, self.inverse, self.sizes, self.cell,
-                                      self.window.frame, sides, table.base, table.w)
+        stencils.fill_gimp_masked(self.x, self.length, self.knots, self.inverse, self.sizes, self.cell,
+                                  self.window.frame, sides, table.base, table.w)
 
     def _fill_cmpm(self, table: Table, sides: ndarray) -> None:
         stencils.fill_cmpm(self.x, self.knots, self.inverse, self.sizes, self.cell, self.window.frame, sides,
@@ -171,7 +192,7 @@ class CompiledRun(Run):
 
     def _buffer(self, name: str, *shape: int, dtype: Any = float) -> ndarray:
         """Room for nodal values, kept from step to step and only ever growing."""
-        size = int(np.prod(shape))
+        size = math.prod(shape)
         found = self._buffers.get(name)
         if found is None or len(found) < size:
             found = self._buffers[name] = np.empty(size + size // 8, dtype=dtype)
@@ -201,12 +222,15 @@ class CompiledRun(Run):
         if choices.xpic:
             self._filter()
         mapping, strain = self.tables[choices.method.mass], self.tables[choices.method.strain]
-        fused = choices.integrator == "usl" and strain is mapping
-        self._move(mapping, moved, fused)
-        if choices.integrator == "musl":
-            moved = self._mapped_velocity(self.velocity)
-        if choices.integrator != "usf":
-            self._update(strain, None if fused else moved)
+        if choices.integrator == "usl" and strain is mapping and self.law != "python":
+            self._move(moved, self._fused)
+            self._look_at_points()
+        else:
+            self._move(moved, self._unfused)
+            if choices.integrator == "musl":
+                moved = self._mapped_velocity(self.velocity)
+            if choices.integrator != "usf":
+                self._update(strain, moved)
         self.step, self.time = self.step + 1, self.time + self.dt
         if not np.isfinite(self.limits[:, 0]).all():
             self._in_users_order()
@@ -218,8 +242,7 @@ class CompiledRun(Run):
         if self.dim == 1 or self.hoop or type(self.material) not in (LinearElastic, VonMises):
             nodes = Nodes(self.grid, self.x, self.mass, self.length, method, choices.edges, self.planes)
             return self._refresh(nodes)
-        self.nodal = self._map(self.transfer.p2g_momentum, "momentum", 1 + self.dim, self.tables[method.mass], self.mass,
-                               self.velocity)
+        self._map_points(np.zeros(0))
         self._classify()
         self._fill_others()
         self._take_step(2 / self._highest_frequency(self.tables[method.force], self.tables[method.strain]))
@@ -227,11 +250,12 @@ class CompiledRun(Run):
     def _highest_frequency(self, force: Table, strain: Table) -> float:
         """As :func:`skfem_mpm.explicit.bound.highest_frequency`, from norms of blocks without a matrix."""
         window, law, same = self.window, self.material, force is strain
-        reach = max(len(force.kt), len(strain.kt)) - 1 if same else {4: 2, 6: 2, 5: 2}.get(len(force.kt) + len(strain.kt), 3)
+        widest, both = max(len(force.kt), len(strain.kt)), len(force.kt) + len(strain.kt)
+        reach = widest - 1 if same else 2 if both < 7 else 3
         norms = np.zeros((window.nnodes, (2 * reach + 1) ** self.dim))
         kernel = getattr(bound, f"norms{self.dim}")
-        kernel(force.base, force.w, strain.base, strain.w, self.volume, law.lam, law.G, window.frame, self.bands, reach, same,
-               norms, force.kt, strain.kt)
+        kernel(force.base, force.w, strain.base, strain.w, self.volume, law.lam, law.G, window.frame, self.bands, reach,
+               same, norms, force.kt, strain.kt)
         steps = (np.indices((2 * reach + 1,) * self.dim).reshape(self.dim, -1).T - reach) @ window.frame[1]
         pad, middle = int(steps.max()), reach * (2 * reach + 1) ** (self.dim - 1)
         active = self.active.astype(bool)
@@ -248,29 +272,32 @@ class CompiledRun(Run):
     def _to_nodes(self) -> tuple[ndarray, int]:
         """Mass and momentum of the nodes, and their force: an array and the column where it starts."""
         dim, window, method = self.dim, self.window, self.choices.method
-        mapping, forces = self.tables[method.mass], self.tables[method.force]
-        together = forces is mapping and self.choices.integrator != "usf"
         gravity = self.load(self.time + self.dt / 2)
-        none = np.zeros(0)
-        if together:
-            self.nodal = self._map(self.transfer.p2g, "all", 1 + 2 * dim, mapping, self.mass, self.velocity,
-                                   self.volume, self.sigma, self.x, self.hoop,
-                                   gravity=none if gravity is None else gravity)
-        else:
-            self.nodal = self._map(self.transfer.p2g_momentum, "momentum", 1 + dim, mapping, self.mass, self.velocity)
-            weight = None if gravity is None else self.nodal[:, :1] * gravity
+        self._map_points(np.zeros(0) if gravity is None else gravity)
+        weight = None if self.together or gravity is None else self.nodal[:, :1] * gravity
         self._classify()
         self._fill_others()
-        if together:
+        if self.together:
             return self.nodal, 1 + dim
         if self.choices.integrator == "usf":
             self._update(self.tables[method.strain], self._plain(self.nodal))
-        force = self._map(self.transfer.p2g_force, "force", dim, forces, self.volume, self.sigma, self.x, self.hoop)
+        force = self._map(self.transfer.p2g_force, "force", dim, self.tables[method.force], self.volume, self.sigma,
+                          self.x, self.hoop)
         if weight is not None:
             force += weight
         signs = np.ascontiguousarray(window.signs[:, 1:1 + dim])
-        at_nodes.gather(force, window.inside, window.outside, signs, window.around, self.active, self.lights, self.light)
+        at_nodes.gather(force, window.inside, window.outside, signs, window.around, self.active, self.lights,
+                        self.light)
         return force, 0
+
+    def _map_points(self, gravity: ndarray) -> None:
+        """Mass and momentum of the nodes, and their force too if it has the same stencil and is known."""
+        dim, mapping = self.dim, self.tables[self.choices.method.mass]
+        if self.together:
+            self.nodal = self._map(self.transfer.p2g, "all", 1 + 2 * dim, mapping, self.mass, self.velocity,
+                                   self.volume, self.sigma, self.x, self.hoop, gravity=gravity)
+        else:
+            self.nodal = self._map(self.transfer.p2g_momentum, "momentum", 1 + dim, mapping, self.mass, self.velocity)
 
     def _classify(self) -> None:
         """Active and light nodes; sums go to the active ones."""
@@ -329,34 +356,52 @@ class CompiledRun(Run):
             unseen -= seen
         self.velocity -= unseen
 
-    def _move(self, mapping: Table, nodal: ndarray, fused: bool) -> None:
+    def _move(self, nodal: ndarray, how: Callable[..., None]) -> None:
         """Points move with the grid's velocity and take on its change."""
-        dim = self.dim
-        self.limits[:, :1 + dim], self.limits[:, 1 + dim:1 + 2 * dim], self.limits[:, 1 + 2 * dim:] = 0, np.inf, -np.inf
-        self.transfer.g2p(mapping.base, mapping.w, nodal, self.window.frame, self.mass, self.x, self.velocity,
-                          float(self.choices.flip), self.dt, self.hoop, self.grad if fused else NONE, self.limits,
-                          mapping.kt)
+        dim, mapping = self.dim, self.tables[self.choices.method.mass]
+        how(mapping.base, mapping.w, nodal, self.window.frame, self.mass, self.x, self.velocity,
+            float(self.choices.flip), self.dt, self.hoop, mapping.kt)
         self.box = self.limits[:, 1 + dim:1 + 2 * dim].min(axis=0), self.limits[:, 1 + 2 * dim:].max(axis=0)
         gravity = self.load(self.time + self.dt / 2)
         if gravity is not None:
             self.work["external"] += float(gravity @ self.limits[:, 1:1 + dim].sum(axis=0) * self.dt)
 
+    def _unfused(self, *arguments: Any) -> None:
+        """Move only."""
+        self.transfer.g2p(*arguments[:-1], NONE, self.limits, arguments[-1])
+
+    def _fused(self, *arguments: Any) -> None:
+        """Move and update stress, for the same stencil and velocity serve both."""
+        arguments = (*arguments[:-1], self.limits, self.bad, arguments[-1], self.sigma, self.volume)
+        if self.law == "elastic":
+            self.fused.elastic(*arguments, *self.constants[:2], self.rows)
+        else:
+            self.fused.von_mises(*arguments, self.history, self.constants, self.taken, self.rows)
+            self.work["plastic"] += float(self.taken.sum())
+
     # -- stress ------------------------------------------------------------------------------------------------------
 
-    def _update(self, table: Table, nodal: ndarray | None) -> None:
-        """Stress after the step, by the gradient of nodal velocities if it is not there yet."""
-        if nodal is not None:
-            self.transfer.gradient(table.base, table.w, nodal, self.window.frame, self.x, self.dt, self.hoop, self.grad,
-                                   table.kt)
-        law = self.material
-        if self.choices.strain == "small" and type(law) is LinearElastic:
-            kernel = getattr(stress, f"elastic{self.dim}")
-            kernel(self.grad, self.sigma, self.volume, self.hoop, law.lam, 2 * law.G, self.bad, self.rows)
-        elif self.choices.strain == "small" and type(law) is VonMises and len(self.rows) > 1:
-            constants = (law.lam, law.G, float(law.peak), float(law.residual), float(law.softening))
-            kernel = getattr(stress, f"von_mises{self.dim}")
-            kernel(self.grad, self.sigma, self.history, self.volume, self.hoop, constants, self.bad, self.taken,
-                   self.rows)
+    def _choose_law(self) -> None:
+        """Which kernel the law has, if any; other laws run as they are."""
+        law, small = self.material, self.choices.strain == "small"
+        self.law = "python"
+        if small and type(law) is LinearElastic:
+            self.law, self.constants = "elastic", (law.lam, 2 * law.G)
+        elif small and type(law) is VonMises and len(self.rows) > 1:
+            self.law = "von_mises"
+            self.constants = (law.lam, law.G, float(law.peak), float(law.residual), float(law.softening))
+        self.fused = importlib.import_module(f"..kernels.fused{self.dim}", __package__)
+        self.stress = getattr(stress, f"{self.law}{self.dim}", None)
+
+    def _update(self, table: Table, nodal: ndarray) -> None:
+        """Stress after the step, by the gradient of nodal velocities."""
+        self.transfer.gradient(table.base, table.w, nodal, self.window.frame, self.x, self.dt, self.hoop, self.grad,
+                               table.kt)
+        if self.law == "elastic":
+            self.stress(self.grad, self.sigma, self.volume, self.hoop, *self.constants, self.bad, self.rows)
+        elif self.law == "von_mises":
+            self.stress(self.grad, self.sigma, self.history, self.volume, self.hoop, self.constants, self.bad,
+                        self.taken, self.rows)
             self.work["plastic"] += float(self.taken.sum())
         else:
             self._respond(self.grad[:len(self.kinematics.rows(self.dim))])

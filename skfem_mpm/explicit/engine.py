@@ -14,8 +14,8 @@ from .run import Run
 from .state import Choices, ExplicitState
 
 ENGINES = ("auto", "numpy", "numba")
-# Points from which numba pays, by dimension and number of nodes per axis of the widest stencil: below, a run of a thousand
-# steps takes less time than numba takes to load.
+# Points from which numba pays, by dimension and number of nodes per axis of the widest stencil: below, a run of a
+# thousand steps takes less time than numba takes to load.
 WORTHWHILE = {(1, 2): 5000, (1, 4): 5000, (2, 2): 1000, (2, 4): 500, (3, 2): 400, (3, 4): 100}
 COMPILED = {ParticleBasis, GIMPBasis, CMPMBasis}
 
@@ -46,7 +46,7 @@ def make_run(engine: str, threads: int, mesh: Mesh, start: ExplicitState, materi
         warnings.warn("a run of this size is many times faster with numba: pip install 'skfem-mpm[fast]'.", UserWarning,
                       stacklevel=4)
         return Run(mesh, start, material, choices, load)
-    from .compiled import CompiledRun      # numba is slow to import
+    from .compiled import CompiledRun  # numba is slow to import
     return CompiledRun(mesh, start, material, choices, load, threads)
 
 

@@ -16,7 +16,9 @@ MARGIN = 2
 
 
 class Window:
-    """Nodes around the cells ``low`` to ``high``, ``MARGIN`` cells wider; it may reach beyond the grid, where nodes stay empty.
+    """Nodes around the cells ``low`` to ``high``, ``MARGIN`` cells wider.
+
+    It may reach beyond the grid, where nodes stay empty.
 
     Attributes
     ----------

@@ -6,5 +6,6 @@ band of nodes that it touches, and copies are summed in a fixed order, so result
 
 A ``prange`` body only calls serial functions on a range: a loop written into it runs slower by far.  No kernel takes a
 function as an argument: those are compiled anew in every process.  Tuples such as ``kt = (0,) * K`` are there for their
-length, which is known when a kernel is compiled.
+length, which is known when a kernel is compiled.  Numba's disk cache looks at the file of a function only, not at those
+of the functions that it calls: after a change to a kernel, delete ``kernels/__pycache__``.
 """

@@ -1,8 +1,9 @@
-"""Norms of the stiffness blocks of pairs of nodes, and the bound of the highest frequency that they give.
+r"""Norms of the stiffness blocks of pairs of nodes, and the bound of the highest frequency that they give.
 
 Twin of :mod:`skfem_mpm.explicit.bound` for isotropic elasticity in two and three dimensions.  A block is
-:math:`K_{IJ} = \\lambda M + G (M^T + 1 \\operatorname{tr} M)` with :math:`M = \\sum_p V_p \\nabla N_I \\otimes \\nabla N_J`.  Each
-row of nodes along the first axis is a task of its own, so what it sums stays in the cache.
+:math:`K_{IJ} = \lambda M + G (M^T + 1 \operatorname{tr} M)` with
+:math:`M = \sum_p V_p \nabla N_I \otimes \nabla N_J`.  Each row of nodes along the first axis is a task of its own, so
+what it sums stays in the cache.
 """
 
 from __future__ import annotations
@@ -126,7 +127,10 @@ def _row3(force, factors, strain, others, volume, lam, shear, frame, bands, reac
 
 @njit(parallel=True, **OPTIONS)
 def norms2(force, factors, strain, others, volume, lam, shear, frame, bands, reach, same, out, kf, ks):
-    """Norms of the blocks, ``(nnodes, (2 * reach + 1)**dim)``; if ``same`` only those of rows not below the node's own."""
+    """Norms of the blocks, ``(nnodes, (2 * reach + 1)**dim)``.
+
+    If force and strain have the ``same`` stencil, only those of nodes in the row of a node and in the rows after it.
+    """
     for r in prange(len(out) // frame[1, 0]):
         _row2(force, factors, strain, others, volume, lam, shear, frame, bands, reach, same, out, kf, ks, r)
 

@@ -177,8 +177,8 @@ def _sides(occupied, usable, faces, diagonals, n0, n1, sides):
 def available_sides(occupied, active, corners, faces, diagonals, usable, sides):
     """Twin of :func:`skfem_mpm.grid.available_sides`, for occupied cells.
 
-    Cells are numbered by their first node; bit ``2 k`` of a cell in ``sides`` is its left neighbour along axis ``k``, the
-    next bit the right one.
+    Cells are numbered by their first node; bit ``2 k`` of a cell in ``sides`` is its left neighbour along axis ``k``,
+    the next bit the right one.
     """
     n = len(occupied)
     for c in prange(CHUNKS):

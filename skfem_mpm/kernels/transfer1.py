@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from .options import CHUNKS, INLINE, OPTIONS
+from .options import CHUNKS, INLINE, OPTIONS, TILE
 
 U = np.uint64
 
@@ -104,11 +104,11 @@ def interpolate(base, w, nodal, frame, out, kt):
 
 
 @njit(**OPTIONS)
-def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt, p0, p1):
+def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, first, limits, kt, p0, p1):
     low = high = x[0, p0]
     work, bad = 0.0, 0.0
     for q in range(p0, p1):
-        p = U(q)
+        p, at = U(q), U(q - first)
         node = U(base[p, 0] - frame[0, 0])
         moving = gained = slope = 0.0
         for a in range(len(kt)):
@@ -122,20 +122,18 @@ def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt, p0, p
         bad += v[0, p] * 0.0
         low, high = x[0, p] if x[0, p] < low else low, x[0, p] if x[0, p] > high else high
         if len(grad):
-            grad[0, p] = dt * slope
+            grad[0, at] = dt * slope
             if hoop:
-                grad[1, p] = dt * moving / x[0, p]
+                grad[1, at] = dt * moving / x[0, p]
     limits[0], limits[1], limits[2], limits[3] = bad, work, low, high
 
 
 @njit(parallel=True, **OPTIONS)
 def g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt):
     """Move points with the grid; displacement gradient too if there is room for it."""
-    n = len(m)
-    for c in prange(CHUNKS):
-        if n * (c + 1) // CHUNKS > n * c // CHUNKS:
-            _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits[c], kt, n * c // CHUNKS,
-                 n * (c + 1) // CHUNKS)
+    for tile in prange(len(limits)):
+        _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, 0, limits[tile], kt, tile * TILE,
+             min((tile + 1) * TILE, len(m)))
 
 
 @njit(**OPTIONS)

@@ -1,8 +1,8 @@
 """Mapping to the grid and back in two dimensions.
 
-``base (n, dim)`` and ``w (n, dim, 2, K)`` are stencils, ``kt`` a tuple of length K, ``frame`` first node and stride of the
-window of nodes per axis.  Grid columns are mass, momentum, force; ``copies`` and ``bands`` hold one grid and the nodes it
-may touch for each chunk.  ``nodal`` holds the velocity of nodes after the step and its change.
+``base (n, dim)`` and ``w (n, dim, 2, K)`` are stencils, ``kt`` a tuple of length K, ``frame`` first node and stride of
+the window of nodes per axis.  Grid columns are mass, momentum, force; ``copies`` and ``bands`` hold one grid and the
+nodes it may touch for each chunk.  ``nodal`` holds the velocity of nodes after the step and its change.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from .options import CHUNKS, INLINE, OPTIONS
+from .options import CHUNKS, INLINE, OPTIONS, TILE
 from .transfer1 import _clear
 
 U = np.uint64
@@ -167,12 +167,12 @@ def _rates(base, w, nodal, frame, kt, p):
 
 
 @njit(**OPTIONS)
-def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt, p0, p1):
+def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, first, limits, kt, p0, p1):
     lowx = highx = x[0, p0]
     lowy = highy = x[1, p0]
     workx = worky = bad = 0.0
     for q in range(p0, p1):
-        p = U(q)
+        p, at = U(q), U(q - first)
         vx, vy, gx, gy, xx, xy, yx, yy = _rates(base, w, nodal, frame, kt, p)
         newx, newy = flip * (v[0, p] + gx) + (1 - flip) * vx, flip * (v[1, p] + gy) + (1 - flip) * vy
         v[0, p], v[1, p] = newx, newy
@@ -184,9 +184,9 @@ def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt, p0, p
         lowx, highx = atx if atx < lowx else lowx, atx if atx > highx else highx
         lowy, highy = aty if aty < lowy else lowy, aty if aty > highy else highy
         if len(grad):
-            grad[0, p], grad[1, p], grad[2, p], grad[3, p] = dt * xx, dt * xy, dt * yx, dt * yy
+            grad[0, at], grad[1, at], grad[2, at], grad[3, at] = dt * xx, dt * xy, dt * yx, dt * yy
             if hoop:
-                grad[4, p] = dt * vx / atx
+                grad[4, at] = dt * vx / atx
     limits[0], limits[1], limits[2] = bad, workx, worky
     limits[3], limits[4], limits[5], limits[6] = lowx, lowy, highx, highy
 
@@ -195,14 +195,12 @@ def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt, p0, p
 def g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt):
     """Move points with the grid; displacement gradient too if there is room for it.
 
-    ``limits (CHUNKS, 1 + 3 * dim)`` takes zero or NaN for finite velocities or not, the mass times mean velocity, lowest
+    ``limits (tiles, 1 + 3 * dim)`` takes zero or NaN for finite velocities or not, the mass times mean velocity, lowest
     and highest positions.
     """
-    n = len(m)
-    for c in prange(CHUNKS):
-        if n * (c + 1) // CHUNKS > n * c // CHUNKS:
-            _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits[c], kt, n * c // CHUNKS,
-                 n * (c + 1) // CHUNKS)
+    for tile in prange(len(limits)):
+        _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, 0, limits[tile], kt, tile * TILE,
+             min((tile + 1) * TILE, len(m)))
 
 
 @njit(**OPTIONS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from .options import CHUNKS, INLINE, OPTIONS
+from .options import CHUNKS, INLINE, OPTIONS, TILE
 from .transfer1 import _clear
 
 U = np.uint64
@@ -218,13 +218,13 @@ def _write(grad, p, dt, xx, xy, xz, yx, yy, yz, zx, zy, zz):
 
 
 @njit(**OPTIONS)
-def _g2p(base, w, nodal, frame, m, x, v, flip, dt, grad, limits, kt, p0, p1):
+def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, first, limits, kt, p0, p1):
     lowx, lowy, lowz = x[0, p0], x[1, p0], x[2, p0]
     highx, highy, highz = lowx, lowy, lowz
     workx = worky = workz = bad = 0.0
     rest = 1 - flip
     for q in range(p0, p1):
-        p = U(q)
+        p, at = U(q), U(q - first)
         vx, vy, vz, gx, gy, gz, xx, xy, xz, yx, yy, yz, zx, zy, zz = _rates(base, w, nodal, frame, kt, p)
         newx, newy = flip * (v[0, p] + gx) + rest * vx, flip * (v[1, p] + gy) + rest * vy
         newz = flip * (v[2, p] + gz) + rest * vz
@@ -239,7 +239,7 @@ def _g2p(base, w, nodal, frame, m, x, v, flip, dt, grad, limits, kt, p0, p1):
         lowy, highy = aty if aty < lowy else lowy, aty if aty > highy else highy
         lowz, highz = atz if atz < lowz else lowz, atz if atz > highz else highz
         if len(grad):
-            _write(grad, p, dt, xx, xy, xz, yx, yy, yz, zx, zy, zz)
+            _write(grad, at, dt, xx, xy, xz, yx, yy, yz, zx, zy, zz)
     limits[0], limits[1], limits[2], limits[3] = bad, workx, worky, workz
     limits[4], limits[5], limits[6], limits[7], limits[8], limits[9] = lowx, lowy, lowz, highx, highy, highz
 
@@ -247,11 +247,9 @@ def _g2p(base, w, nodal, frame, m, x, v, flip, dt, grad, limits, kt, p0, p1):
 @njit(parallel=True, **OPTIONS)
 def g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt):
     """Move points with the grid; displacement gradient too if there is room for it."""
-    n = len(m)
-    for c in prange(CHUNKS):
-        if n * (c + 1) // CHUNKS > n * c // CHUNKS:
-            _g2p(base, w, nodal, frame, m, x, v, flip, dt, grad, limits[c], kt, n * c // CHUNKS,
-                 n * (c + 1) // CHUNKS)
+    for tile in prange(len(limits)):
+        _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, 0, limits[tile], kt, tile * TILE,
+             min((tile + 1) * TILE, len(m)))
 
 
 @njit(**OPTIONS)
