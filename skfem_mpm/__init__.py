@@ -18,8 +18,8 @@ from .materials import Hencky, LinearElastic, VonMises
 from .particles import Particles
 
 __all__ = [
-    "METHODS", "CMPMBasis", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP", "ElementQuadCMPM",
-    "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "Method", "NotConvergedError", "OutsideGridError",
-    "ParticleBasis", "Particles", "UnstableError", "VonMises", "axisymmetric", "explicit_steps", "implicit_steps", "patch_dofs", "plane_strain",
-    "solid", "uniaxial",
+    "CMPMBasis", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP", "ElementQuadCMPM",
+    "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "METHODS", "Method", "NotConvergedError",
+    "OutsideGridError", "ParticleBasis", "Particles", "UnstableError", "VonMises", "axisymmetric",
+    "explicit_steps", "implicit_steps", "patch_dofs", "plane_strain", "solid", "uniaxial",
 ]

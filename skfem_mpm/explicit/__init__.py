@@ -85,8 +85,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
     Warns
     -----
     UserWarning
-        Once, if the method's strain is not conjugate to its forces (elastic waves then grow slowly), or if the given time
-        step is above the stable one.
+        Once, if the method's strain is not conjugate to its forces (elastic waves then grow slowly), or if the given
+        time step is above the stable one.
 
     Examples
     --------
@@ -96,8 +96,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
     >>> from skfem_mpm.boundary import FixedPlane
     >>> bar = Particles.fill(MeshLine(np.linspace(0, 1, 11)), uniaxial, density=1.0)
     >>> base = [FixedPlane(axis=0, at=0.0, side=-1)]
-    >>> run = explicit_steps(MeshLine(np.linspace(0, 2, 21)), bar, LinearElastic(E=1e2, nu=0.0), base, steps=20, every=20,
-    ...                      gravity=(-1.0,))
+    >>> run = explicit_steps(MeshLine(np.linspace(0, 2, 21)), bar, LinearElastic(E=1e2, nu=0.0), base, steps=20,
+    ...                      every=20, gravity=(-1.0,))
     >>> bool(abs(next(run).particles.velocity).max() < 1.0)
     True
     """
@@ -120,8 +120,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
         raise ValueError(f"ramp: got {ramp}, expected a time of zero or more.")
     choices = Choices(method, strain, integrator, edges, flip, xpic, damping, dt, safety, refresh)
     if method.strain is not method.force:
-        warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow slowly, at any time "
-                      "step; 'cmpm-c' and 'gimp' do not.", UserWarning, stacklevel=2)
+        warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow slowly, at any "
+                      "time step; 'cmpm-c' and 'gimp' do not.", UserWarning, stacklevel=2)
     return _run(mesh, start, material, tuple(boundary), choices, int(steps), int(every), _load(gravity, ramp),
                 engine, int(threads))
 

@@ -2,8 +2,8 @@ r"""The longest stable time step of a layout of points.
 
 With lumped masses the largest eigenvalue of :math:`M^{-1}K` is that of the symmetric matrix
 :math:`M^{-1/2} K M^{-1/2}`, and no larger than the spectral radius of the non-negative matrix
-:math:`B_{IJ} = \lVert K_{IJ} \rVert / \sqrt{m_I m_J}`, hence than :math:`\max_I (B x)_I / x_I` for any positive :math:`x`
-(Collatz and Wielandt).  A few power iterations make that tight; the time step is :math:`2 / \omega`.
+:math:`B_{IJ} = \lVert K_{IJ} \rVert / \sqrt{m_I m_J}`, hence than :math:`\max_I (B x)_I / x_I` for any positive
+:math:`x` (Collatz and Wielandt).  A few power iterations make that tight; the time step is :math:`2 / \omega`.
 """
 
 from __future__ import annotations

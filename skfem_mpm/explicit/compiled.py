@@ -46,7 +46,7 @@ class CompiledRun(Run):
     def __init__(self, mesh: Mesh, start: ExplicitState, material: Any, choices: Choices, load: Callable[[float], Any],
                  threads: int = 1):
         super().__init__(mesh, start, material, choices, load)
-        self.threads = min(threads, numba.config.NUMBA_NUM_THREADS)
+        self.threads = min(threads, numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
         n, dim = self.x.shape[1], self.dim
         self.transfer = importlib.import_module(f"..kernels.transfer{dim}", __package__)
         self.knots, self.inverse, self.sizes = axes_arrays(self.grid.axes)
@@ -62,7 +62,7 @@ class CompiledRun(Run):
         self.limits, self.bad = np.empty((tiles, 1 + 3 * dim)), np.zeros((tiles, 2), dtype=np.int64)
         self.lost, self.taken = np.zeros(CHUNKS), np.zeros(tiles)
         self.box = self.x.min(axis=1), self.x.max(axis=1)
-        self.window: Window | None = None
+        self.window: Any = None                          # a Window from the first step on
         self._buffers: dict[str, ndarray] = {}
         self._choose_stencils()
         self._choose_law()
@@ -223,10 +223,10 @@ class CompiledRun(Run):
             self._filter()
         mapping, strain = self.tables[choices.method.mass], self.tables[choices.method.strain]
         if choices.integrator == "usl" and strain is mapping and self.law != "python":
-            self._move(moved, self._fused)
+            self._move_points(moved, self._fused)
             self._look_at_points()
         else:
-            self._move(moved, self._unfused)
+            self._move_points(moved, self._unfused)
             if choices.integrator == "musl":
                 moved = self._mapped_velocity(self.velocity)
             if choices.integrator != "usf":
@@ -356,7 +356,7 @@ class CompiledRun(Run):
             unseen -= seen
         self.velocity -= unseen
 
-    def _move(self, nodal: ndarray, how: Callable[..., None]) -> None:
+    def _move_points(self, nodal: ndarray, how: Callable[..., None]) -> None:
         """Points move with the grid's velocity and take on its change."""
         dim, mapping = self.dim, self.tables[self.choices.method.mass]
         how(mapping.base, mapping.w, nodal, self.window.frame, self.mass, self.x, self.velocity,
@@ -385,13 +385,14 @@ class CompiledRun(Run):
         """Which kernel the law has, if any; other laws run as they are."""
         law, small = self.material, self.choices.strain == "small"
         self.law = "python"
+        self.constants: tuple[float, ...] = ()
         if small and type(law) is LinearElastic:
             self.law, self.constants = "elastic", (law.lam, 2 * law.G)
         elif small and type(law) is VonMises and len(self.rows) > 1:
             self.law = "von_mises"
             self.constants = (law.lam, law.G, float(law.peak), float(law.residual), float(law.softening))
         self.fused = importlib.import_module(f"..kernels.fused{self.dim}", __package__)
-        self.stress = getattr(stress, f"{self.law}{self.dim}", None)
+        self.stress: Any = getattr(stress, f"{self.law}{self.dim}", None)
 
     def _update(self, table: Table, nodal: ndarray) -> None:
         """Stress after the step, by the gradient of nodal velocities."""

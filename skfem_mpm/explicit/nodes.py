@@ -70,7 +70,7 @@ class Nodes:
         """Light nodes, the active nodes around them, and the equal shares these take."""
         nodes = np.flatnonzero((total > 0) & ~self.active)
         shape = np.array(self.grid.vertices.shape)[:, None]
-        around = np.stack(np.unravel_index(nodes, self.grid.vertices.shape)) if len(nodes) else np.zeros((len(shape), 0))
+        around = np.reshape(np.unravel_index(nodes, self.grid.vertices.shape), (len(shape), -1))
         pairs = []
         for offset in itertools.product((-1, 0, 1), repeat=self.grid.dim):
             other = around + np.array(offset)[:, None]

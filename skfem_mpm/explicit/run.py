@@ -35,7 +35,7 @@ class Run:
         self.x, self.volume, self.mass = particles.x.copy(), particles.volume.copy(), particles.mass
         method = choices.method
         reads_domains = any(basis.reads_domains for basis in (method.mass, method.strain, method.force))
-        self.length = particles.length if reads_domains else None
+        self.length: Any = particles.length if reads_domains else None
         n, ncomp = particles.n, self.kinematics.ncomp
         self.velocity = np.zeros((self.dim, n)) if particles.velocity is None else particles.velocity.copy()
         self.sigma = np.zeros((ncomp, n)) if particles.sigma is None else particles.sigma.copy()
@@ -49,7 +49,8 @@ class Run:
     def advance(self) -> None:
         """Take one time step."""
         with np.errstate(invalid="ignore", over="ignore"):
-            nodes = Nodes(self.grid, self.x, self.mass, self.length, self.choices.method, self.choices.edges, self.planes)
+            choices = self.choices
+            nodes = Nodes(self.grid, self.x, self.mass, self.length, choices.method, choices.edges, self.planes)
             if self.step - self.refreshed >= self.choices.refresh:
                 self._refresh(nodes)
             momentum = nodes.to_nodes(self.mass * self.velocity)
@@ -140,8 +141,8 @@ class Run:
             self.dt = self.choices.safety * stable
             return
         if self.choices.dt > stable and self.dt == 0:
-            warnings.warn(f"dt: got {self.choices.dt:g}, above the step {stable:g} that is surely stable here; the run may "
-                          "become unstable.", UserWarning, stacklevel=4)
+            warnings.warn(f"dt: got {self.choices.dt:g}, above the step {stable:g} that is surely stable here; the run "
+                          "may become unstable.", UserWarning, stacklevel=4)
         self.dt = self.choices.dt
 
     def _guard(self) -> None:
