@@ -157,8 +157,13 @@ class Support:
 
     def sound_cells(self) -> ndarray:
         """All cells whose nodes are solved or slaved, ``(dim, ncells)``."""
-        cells = np.indices(self.grid.cells.shape).reshape(self.grid.dim, -1)
-        return cells[:, self.holds(cells)]
+        known = self.known.reshape(self.grid.vertices.shape)
+        shape: tuple[int, ...] = self.grid.cells.shape
+        sound = np.ones(shape, dtype=bool)
+        for corner in itertools.product((0, 1), repeat=self.grid.dim):
+            shifted = tuple(slice(c, c + size) for c, size in zip(corner, shape))
+            sound &= known[shifted]
+        return np.stack(np.nonzero(sound))
 
 
 def _extrapolation(shape: tuple[int, ...], solved: ndarray, wanted: ndarray) -> tuple[csr_array, ndarray]:
