@@ -124,7 +124,7 @@ class Step:
         return self._finish(self.support.spread(unknowns), share, residuals, reactions, gravity)
 
     def _constraints(self, share: float) -> tuple[csr_array, ndarray, list[tuple[str, int]]]:
-        """Wall rows over the solved components, scaled like the stiffness, and whose they are."""
+        """Independent wall rows over the solved components, their right-hand sides, and whose they are."""
         rows: list[csr_array] = []
         values: list[float] = []
         owner: list[tuple[str, int]] = []
