@@ -338,7 +338,7 @@ def _view(mesh: Mesh) -> Grid:
     shape = tuple(len(axis) for axis in axes)
     low = np.stack([i[mesh.t].min(axis=0) for i in index])
     high = np.stack([i[mesh.t].max(axis=0) for i in index])
-    number = np.ravel_multi_index(low, shape)
+    number = np.ravel_multi_index(tuple(low), shape)
     if (np.prod(shape) != mesh.p.shape[1] or (high - low != 1).any()
             or len(np.unique(number)) != np.prod([size - 1 for size in shape])):
         raise ValueError(f"mesh: got a {type(mesh).__name__} with {mesh.nelements} cells that do not make a full box "
