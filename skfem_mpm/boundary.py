@@ -170,7 +170,7 @@ class Wall:
             raise OutsideGridError(f"wall {self.name!r}: {error}") from None
         low, high = ([axis[end] for axis in grid.axes] for end in (0, -1))
         cell = grid.locate(np.clip(self.x, np.reshape(low, (-1, 1)), np.reshape(high, (-1, 1))))
-        lost, sound = np.flatnonzero(~support.holds(cell)), support.sound_cells()
+        lost, sound = np.flatnonzero(~support.holds(cell)), np.stack(np.nonzero(support.sound))
         middle = np.stack([((grid.axes[k][1:] + grid.axes[k][:-1]) / 2)[sound[k]] for k in range(grid.dim)])
         for p in lost:
             cell[:, p] = sound[:, np.argmin(((middle - self.x[:, p, None]) ** 2).sum(axis=0))]

@@ -30,7 +30,8 @@ class _Patch:
         if occupied is not None:
             mask = cell_mask(mesh, occupied)[grid.cells]
         self.clipped = occupied is not None
-        self.sides = available_sides(mask)[(slice(None), slice(None), *self.cell)]      # (2, dim, ncells)
+        everywhere = (slice(None), slice(None)) + tuple(self.cell)
+        self.sides = available_sides(mask)[everywhere]                                  # (2, dim, ncells)
 
         around = [a for a in itertools.product(range(4), repeat=dim) if not set(a) <= {1, 2}]
         node = np.stack(np.unravel_index(np.argsort(grid.vertices, axis=None), grid.vertices.shape))

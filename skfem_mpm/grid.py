@@ -250,11 +250,11 @@ class Grid:
         for part in chunks(x.shape[1]):
             for k in range(self.dim):
                 w[k, 0, :, part], w[k, 1, :, part] = fill(k, part, self.knots(k, index[k, part]))
-        for k, size in enumerate(self.vertices.shape):    # nodes that do not exist carry nothing
+        for k, size in enumerate(self.vertices.shape if width == 4 else ()):    # nodes that do not exist carry nothing
             for j in range(width):
-                node = base[k] + j
-                if width == 4 and ((node < 0) | (node >= size)).any():
-                    w[k, :, j, (node < 0) | (node >= size)] = 0
+                missing = (base[k] + j < 0) | (base[k] + j >= size)
+                if missing.any():
+                    w[k, :, j, missing] = 0
         return Stencil(base, w, self.vertices.shape)
 
     def check_reach(self, x: ndarray, index: ndarray, length: ndarray, edges: str) -> None:
@@ -291,6 +291,14 @@ def cell_mask(mesh: Mesh, cells: Any) -> ndarray:
     return mask
 
 
+def whole_cells(nodes: ndarray) -> ndarray:
+    """Mask over the cells whose nodes are all marked; ``nodes`` is a mask with one index per axis, as the result."""
+    whole = np.ones([size - 1 for size in nodes.shape], dtype=bool)
+    for corner in itertools.product((0, 1), repeat=nodes.ndim):
+        whole &= nodes[tuple(slice(c, c + size) for c, size in zip(corner, whole.shape))]
+    return whole
+
+
 def available_sides(occupied: ndarray, active: ndarray | None = None) -> ndarray:
     """Which neighbours a patch may reach into: ``(2, dim, *cells)``, side 0 towards smaller coordinates.
 
@@ -308,8 +316,7 @@ def available_sides(occupied: ndarray, active: ndarray | None = None) -> ndarray
     dim = occupied.ndim
     usable = occupied.copy()
     if active is not None:
-        for corner in itertools.product((0, 1), repeat=dim):
-            usable &= active[tuple(slice(c, c + size) for c, size in zip(corner, occupied.shape))]
+        usable &= whole_cells(active)
     padded = np.pad(usable, 1)
 
     def shifted(offset: Sequence[int]) -> ndarray:
@@ -338,7 +345,7 @@ def _view(mesh: Mesh) -> Grid:
     shape = tuple(len(axis) for axis in axes)
     low = np.stack([i[mesh.t].min(axis=0) for i in index])
     high = np.stack([i[mesh.t].max(axis=0) for i in index])
-    number = np.ravel_multi_index(low, shape)
+    number = np.ravel_multi_index(tuple(low), shape)
     if (np.prod(shape) != mesh.p.shape[1] or (high - low != 1).any()
             or len(np.unique(number)) != np.prod([size - 1 for size in shape])):
         raise ValueError(f"mesh: got a {type(mesh).__name__} with {mesh.nelements} cells that do not make a full box "

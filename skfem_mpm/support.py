@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 from scipy.ndimage import binary_dilation
-from scipy.sparse import coo_array, csr_array, eye_array, vstack
+from scipy.sparse import coo_array, csr_array, vstack
 
 from .basis import Method, ParticleBasis
-from .grid import Edges, Grid, Stencil, available_sides
+from .grid import Edges, Grid, Stencil, available_sides, whole_cells
 from .particles import Particles
 
 CUTOFF = 1e-8    # a node is active if its lumped mass exceeds this share of the largest
@@ -38,6 +38,8 @@ class Support:
         Sparse; from the components of solved nodes to those of solved and slaved ones.
     free
         Mask over the columns of ``transfer``: not fixed.
+    sound
+        Mask over the cells, one index per axis: all nodes are solved or slaved.
     """
 
     def __init__(self, mesh: Any, particles: Particles, method: Method, edges: Edges, boundary: Sequence[Any]):
@@ -69,21 +71,20 @@ class Support:
         self._slave(read | self._felt())
         self._check_known(read)
 
-    def stencil(self, basis: type[ParticleBasis], x: ndarray | None = None, length: ndarray | None = None) -> Stencil:
-        """Stencil of a basis for the points, or for other positions in the body.
+    def stencil(self, basis: type[ParticleBasis]) -> Stencil:
+        """Stencil of a basis for the points, made once.
 
         The basis that maps mass sees the whole grid; any other one reads solved nodes only, so it keeps to available
         neighbours.
         """
-        if x is None:
-            if basis not in self._stencils:
-                self._stencils[basis] = self._make(basis, self.particles.x, self.index, self.particles.length)
-            return self._stencils[basis]
-        return self._make(basis, x, self.grid.locate(x), length)
+        if basis not in self._stencils:
+            points, sides = self.particles, self.sides_of(basis)
+            self._stencils[basis] = basis.stencil_of(self.grid, points.x, self.index, points.length, self.edges, sides)
+        return self._stencils[basis]
 
-    def _make(self, basis: type[ParticleBasis], x: ndarray, index: ndarray, length: ndarray | None) -> Stencil:
-        sides = None if basis is self.method.mass else self.sides
-        return basis.stencil_of(self.grid, x, index, length, self.edges, sides)
+    def sides_of(self, basis: type[ParticleBasis]) -> ndarray | None:
+        """To which neighbours a basis keeps; ``None`` for the one that maps mass."""
+        return None if basis is self.method.mass else self.sides
 
     def _touched(self, stencil: Stencil) -> ndarray:
         """Nodes whose value or slope some point sees; on a node a point sees its neighbours by their slopes alone."""
@@ -110,17 +111,16 @@ class Support:
 
     def _slave(self, touched: ndarray) -> None:
         """Number the unknowns; nodes that points touch but nothing holds extrapolate the body, u_g = 2 u_0 - u_1."""
-        follow, known = _extrapolation(self.grid.vertices.shape, self.solved, touched & ~self.solved)
+        by_solved, known = _extrapolation(self.grid.vertices.shape, self.solved, touched & ~self.solved)
         dim = self.grid.dim
         nodes = np.flatnonzero(known)
         self.number = np.full((dim, self.grid.nnodes), -1)
         self.number[:, nodes] = np.arange(dim * len(nodes)).reshape(len(nodes), dim).T
         self.known = known
+        self.sound = whole_cells(known.reshape(self.grid.vertices.shape))
         self.solved_nodes = np.flatnonzero(self.solved)
-        itself = csr_array(eye_array(self.grid.nnodes)) * self.solved[:, None]
-        scalar = (itself + follow).tocsr()[nodes][:, self.solved_nodes]
         self.slaved = len(nodes) > len(self.solved_nodes)
-        self.transfer = _per_component(scalar, dim)
+        self.transfer = _per_component(by_solved[nodes][:, self.solved_nodes], dim)
         self.free = ~self.fixed[:, self.solved_nodes].T.ravel()
 
     def _check_known(self, read: ndarray) -> None:
@@ -151,18 +151,11 @@ class Support:
 
     def holds(self, cell: ndarray) -> ndarray:
         """Which cells ``(dim, n)`` have only solved or slaved nodes."""
-        corners = np.indices((2,) * self.grid.dim).reshape(self.grid.dim, -1)
-        nodes = np.ravel_multi_index(tuple(cell[:, None] + corners[:, :, None]), self.grid.vertices.shape)
-        return self.known[nodes].all(axis=0)
-
-    def sound_cells(self) -> ndarray:
-        """All cells whose nodes are solved or slaved, ``(dim, ncells)``."""
-        cells = np.indices(self.grid.cells.shape).reshape(self.grid.dim, -1)
-        return cells[:, self.holds(cells)]
+        return self.sound[tuple(cell)]
 
 
 def _extrapolation(shape: tuple[int, ...], solved: ndarray, wanted: ndarray) -> tuple[csr_array, ndarray]:
-    """Rows that express ``wanted`` nodes by solved ones, and which nodes are then solved or expressed.
+    """Rows that express solved nodes by themselves and ``wanted`` ones by them, and which nodes have such a row.
 
     A node is the mean over the axes of 2 u_0 - u_1, face nodes first, then those behind edges and corners.
     """
@@ -170,7 +163,6 @@ def _extrapolation(shape: tuple[int, ...], solved: ndarray, wanted: ndarray) -> 
     known, left = solved.copy(), np.flatnonzero(wanted)
     itself = np.flatnonzero(solved)
     matrix = csr_array((np.ones(len(itself)), (itself, itself)), shape=(size, size))
-    total = csr_array((size, size))
     while len(left):
         near, far = _neighbour_pairs(shape, left)
         usable = (near >= 0) & (far >= 0) & known[near] & known[far]
@@ -183,10 +175,10 @@ def _extrapolation(shape: tuple[int, ...], solved: ndarray, wanted: ndarray) -> 
         row = np.tile(left[pick[1]], 2)
         column = np.concatenate([near[pick], far[pick]])
         new = csr_array((value, (row, column)), shape=(size, size)) @ matrix
-        matrix, total = matrix + new, total + new
+        matrix = matrix + new
         known[left[count > 0]] = True
         left = left[count == 0]
-    return total, known
+    return matrix, known
 
 
 def _neighbour_pairs(shape: tuple[int, ...], nodes: ndarray) -> tuple[ndarray, ndarray]:

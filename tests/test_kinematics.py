@@ -7,8 +7,19 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
+from skfem import ElementLineP1, ElementVector, LinearForm, MeshLine
+from skfem.helpers import ddot
 
-from skfem_mpm import Hencky, LinearElastic, axisymmetric, plane_strain, solid, uniaxial
+from skfem_mpm import (
+    Hencky,
+    LinearElastic,
+    ParticleBasis,
+    Particles,
+    axisymmetric,
+    plane_strain,
+    solid,
+    uniaxial,
+)
 from skfem_mpm.kinematics import STRAINS, Logarithmic, Small
 
 MOTIONS = [(uniaxial, 1), (plane_strain, 2), (axisymmetric, 1), (axisymmetric, 2), (solid, 3)]
@@ -344,3 +355,13 @@ def test_a_dimension_that_does_not_fit_is_refused(kinematics, dim):
 def test_small_strain_refuses_hencky(kinematics, dim):
     with pytest.raises(ValueError, match="got 'small' with Hencky.*needs strain='logarithmic'.*LinearElastic"):
         Small(kinematics, dim, LAWS[1], np.zeros((kinematics.ncomp, 1)), None)
+
+
+def test_a_scalar_field_has_no_strain():
+    """On a line the gradients of a scalar and of a vector look alike to numpy; the mistake used to go unseen."""
+    mesh = MeshLine().refined(1)
+    points = Particles.fill(mesh, uniaxial, per_cell=1)
+    form = LinearForm(lambda v, w: ddot(w.stress, uniaxial.strain(v, w)))
+    with pytest.raises(ValueError, match=r"u: got a field with a gradient of shape .* use ElementVector"):
+        form.assemble(ParticleBasis(mesh, ElementLineP1(), points))
+    assert form.assemble(ParticleBasis(mesh, ElementVector(ElementLineP1()), points)).shape == (3,)

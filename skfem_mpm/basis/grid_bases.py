@@ -66,10 +66,8 @@ class GIMPBasis(_OnGrid):
         self.edges = edges
         super().__init__(mesh, elem, particles, dofs=dofs)
 
-    def _place_on_grid(self) -> tuple[ndarray, Stencil]:
-        grid, x = Grid.from_mesh(self.mesh), self.particles.x
-        index = grid.locate(x)
-        return grid.cells[tuple(index)], self.stencil_of(grid, x, index, self.particles.length, self.edges)
+    def _choices(self, grid: Grid, cells: ndarray) -> dict[str, Any]:
+        return {"length": self.particles.length, "edges": self.edges}
 
     @classmethod
     def stencil_of(cls, grid: Grid, x: ndarray, index: ndarray, length: ndarray | None = None, edges: Edges = "ghost",
@@ -123,14 +121,10 @@ class CMPMBasis(_OnGrid):
         self.occupied = occupied
         super().__init__(mesh, elem, particles, dofs=dofs)
 
-    def _place_on_grid(self) -> tuple[ndarray, Stencil]:
-        grid, x = Grid.from_mesh(self.mesh), self.particles.x
-        index = grid.locate(x)
-        cells = grid.cells[tuple(index)]
+    def _choices(self, grid: Grid, cells: ndarray) -> dict[str, Any]:
         if self.occupied is None:
             self.occupied = np.unique(cells)
-        mask = cell_mask(self.mesh, self.occupied)[grid.cells]
-        return cells, self.stencil_of(grid, x, index, sides=available_sides(mask))
+        return {"sides": available_sides(cell_mask(self.mesh, self.occupied)[grid.cells])}
 
     @classmethod
     def stencil_of(cls, grid: Grid, x: ndarray, index: ndarray, length: ndarray | None = None, edges: Edges = "ghost",

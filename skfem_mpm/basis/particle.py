@@ -94,7 +94,12 @@ class ParticleBasis(CellBasis):
     def _place_on_grid(self) -> tuple[ndarray, Stencil]:
         grid, x = Grid.from_mesh(self.mesh), self.particles.x
         index = grid.locate(x)
-        return grid.cells[tuple(index)], self.stencil_of(grid, x, index)
+        cells = grid.cells[tuple(index)]
+        return cells, self.stencil_of(grid, x, index, **self._choices(grid, cells))
+
+    def _choices(self, grid: Grid, cells: ndarray) -> dict[str, Any]:
+        """What :meth:`stencil_of` needs besides positions, for points in these mesh cells."""
+        return {}
 
     @classmethod
     def stencil_of(cls, grid: Grid, x: ndarray, index: ndarray, length: ndarray | None = None, edges: Edges = "ghost",

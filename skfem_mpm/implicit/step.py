@@ -15,7 +15,7 @@ from ..basis import ParticleBasis
 from ..checks import check_array
 from ..grid import Edges, Grid
 from ..integration import INTEGRATIONS
-from ..kinematics import STRAINS
+from ..kinematics import STRAINS, Kinematics
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
@@ -87,7 +87,7 @@ class Step:
         """Soft stiffness of whole cells, with two Gauss points per axis; ordinary finite elements."""
         support, kinematics = self.support, self.particles.kinematics
         size = support.transfer.shape[0]
-        cells = support.sound_cells()
+        cells = np.stack(np.nonzero(support.sound))
         if not self.options.floor or not cells.size:
             return csc_array((size, size))
         grid, dim = support.grid, support.grid.dim
@@ -125,7 +125,7 @@ class Step:
         return self._finish(self.support.spread(unknowns), share, residuals, reactions, gravity)
 
     def _constraints(self, share: float) -> tuple[csr_array, ndarray, list[tuple[str, int]]]:
-        """Wall rows over the solved components, scaled like the stiffness, and whose they are."""
+        """Independent wall rows over the solved components, their right-hand sides, and whose they are."""
         rows: list[csr_array] = []
         values: list[float] = []
         owner: list[tuple[str, int]] = []
@@ -249,10 +249,10 @@ class Step:
         displacement[:, support.grid.vertices.ravel()] = u
         boundary = tuple(item.advanced(share) for item in self.state.boundary)
         basis = self.options.method.strain
-        sides = None if basis is self.options.method.mass else support.sides
-        recovery = _Recovery(support.grid, basis, self.options.edges, sides, support.occupied, u, self.motion)
+        recovery = _Recovery(support.grid, basis, self.options.edges, support.sides_of(basis), support.occupied, u,
+                             STRAINS[self.options.strain], old.kinematics, self.material)
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
-                     scheme=self.options.scheme, gravity=gravity, _recovery=recovery.at_rest())
+                     scheme=self.options.scheme, gravity=gravity, _recovery=recovery)
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,12 +265,9 @@ class _Recovery:
     sides: ndarray | None
     occupied: ndarray
     u: ndarray
-    motion: Any
-
-    def at_rest(self) -> _Recovery:
-        """The same without the points' stress."""
-        zero = np.zeros((self.motion.kinematics.ncomp, 1))
-        return replace(self, motion=type(self.motion)(self.motion.kinematics, len(self.u), self.motion.law, zero, None))
+    strain: type
+    kinematics: Kinematics
+    material: Any
 
     def __call__(self, x: ndarray, length: ndarray | None) -> ndarray:
         x = check_array("x", x, (len(self.u), None))
@@ -280,10 +277,9 @@ class _Recovery:
             raise ValueError(f"x: got point {empty[0]} at {x[:, empty[0]]}, in a cell that held no points in this "
                              "step; expected positions in the body.")
         stencil = self.basis.stencil_of(self.grid, x, index, length, self.edges, self.sides)
-        kinematics = self.motion.kinematics
-        operator = INTEGRATIONS["points"](kinematics, stencil, stencil, np.ones(x.shape[1]), x[0])
-        zero = np.zeros((kinematics.ncomp, x.shape[1]))
-        motion = type(self.motion)(kinematics, len(x), self.motion.law, zero, None)
+        operator = INTEGRATIONS["points"](self.kinematics, stencil, stencil, np.ones(x.shape[1]), x[0])
+        zero = np.zeros((self.kinematics.ncomp, x.shape[1]))
+        motion = self.strain(self.kinematics, len(x), self.material, zero, None)
         return motion.respond(operator.gradient(self.u)).sigma
 
 
