@@ -183,6 +183,12 @@ class Grid:
                                    "use a larger mesh or smaller steps.")
         return index
 
+    def outside(self, x: ndarray, length: ndarray | None = None) -> ndarray:
+        """Which points ``(dim, n)`` are outside, or do not have their whole domain inside."""
+        half = 0.0 if length is None else length * (0.5 - 1e-12)      # a domain that ends on the edge may round over it
+        low, high = (np.array([[axis[end]] for axis in self.axes]) for end in (0, -1))
+        return ~((x - half >= low) & (x + half <= high)).all(axis=0)
+
     @property
     def extent(self) -> str:
         """The box it covers, in words."""
@@ -269,12 +275,12 @@ class Grid:
                     f"length: the domain of point {point} at {_position(x[:, point])} is {length[k, point]:g} long "
                     f"along axis {k} and reaches beyond the neighbours of its cell, which GIMP's four nodes per axis "
                     "do not allow; use smaller domains or larger cells.")
-            out = (low < self.axes[k][0] - slack) | (high > self.axes[k][-1] + slack)
-            if edges == "ghost" and out.any():
-                point = int(np.flatnonzero(out)[0])
-                raise OutsideGridError(
-                    f"the domain of point {point} at {_position(x[:, point])} leaves the grid {self.extent}; give the "
-                    "grid a spare layer of cells, or choose edges='clip' or edges='truncate'.")
+        out = self.outside(x, length) if edges == "ghost" else np.zeros(0)
+        if out.any():
+            point = int(np.flatnonzero(out)[0])
+            raise OutsideGridError(
+                f"the domain of point {point} at {_position(x[:, point])} leaves the grid {self.extent}; give the "
+                "grid a spare layer of cells, or choose edges='clip' or edges='truncate'.")
 
 
 def cell_mask(mesh: Mesh, cells: Any) -> ndarray:
@@ -297,6 +303,22 @@ def whole_cells(nodes: ndarray) -> ndarray:
     for corner in itertools.product((0, 1), repeat=nodes.ndim):
         whole &= nodes[tuple(slice(c, c + size) for c, size in zip(corner, whole.shape))]
     return whole
+
+
+def wider(mask: ndarray) -> ndarray:
+    """A mask and all that is next to it, diagonally too; one index per axis."""
+    for axis, size in enumerate(mask.shape):
+        padded = np.pad(mask, [(int(k == axis),) * 2 for k in range(mask.ndim)])
+        mask = mask | np.take(padded, range(size), axis) | np.take(padded, range(2, size + 2), axis)
+    return mask
+
+
+def corner_nodes(cells: ndarray) -> ndarray:
+    """Mask over the nodes that belong to a marked cell, one index per axis; ``cells`` is a mask too."""
+    nodes = np.zeros([size + 1 for size in cells.shape], dtype=bool)
+    for corner in itertools.product((0, 1), repeat=cells.ndim):
+        nodes[tuple(slice(c, c + size) for c, size in zip(corner, cells.shape))] |= cells
+    return nodes
 
 
 def available_sides(occupied: ndarray, active: ndarray | None = None) -> ndarray:

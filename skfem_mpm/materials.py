@@ -2,13 +2,16 @@
 
 ``components`` and ``places`` are pairs ``(i, j)`` of the 3 x 3 tensor: which component each row of an array is.  What a
 law remembers of the past is its history, ``(k, n)``, one row for each name in ``Law.history``.
+
+A law has ``kirchhoff``, ``history``, ``update`` and ``tangent``; ``elastic_strain``, ``energy_density`` and
+``dissipation`` are needed by those who start from a stress or keep accounts of energy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy import ndarray
@@ -16,6 +19,10 @@ from numpy import ndarray
 Places = Sequence[tuple[int, int]]
 PLANE = ((0, 0), (1, 1), (2, 2), (0, 1))                        # components of plane strain and axial symmetry
 SPACE = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+
+
+def _is_number(value: Any) -> bool:
+    return np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
 
 
 @dataclass(frozen=True)
@@ -52,9 +59,9 @@ class LinearElastic:
     history: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
-        if not (np.ndim(self.E) == 0 and self.E > 0 and np.isfinite(self.E)):
+        if not (_is_number(self.E) and 0 < self.E < np.inf):
             raise ValueError(f"E: got {self.E}, expected a modulus above zero.")
-        if not (np.ndim(self.nu) == 0 and -1 < self.nu < 0.5):
+        if not (_is_number(self.nu) and -1 < self.nu < 0.5):
             raise ValueError(f"nu: got {self.nu}, expected a ratio between -1 and 0.5; near 0.5 use 0.49 or less.")
 
     @property
@@ -69,9 +76,13 @@ class LinearElastic:
 
     def trial(self, strain: ndarray, stress: ndarray, components: Places) -> ndarray:
         """Stress after an elastic strain increment, ``(ncomp, n)``; shear rows are tensor components."""
-        trace = sum(row for row, (i, j) in zip(strain, components) if i == j)
-        rows = [2 * self.G * row + (self.lam * trace if i == j else 0.0) for row, (i, j) in zip(strain, components)]
-        return stress + np.stack(rows)
+        part = self.lam * sum(row for row, (i, j) in zip(strain, components) if i == j)
+        after = 2 * self.G * strain
+        for row, (i, j) in zip(after, components):
+            if i == j:
+                row += part
+        after += stress
+        return after
 
     def update(self, strain: ndarray, stress: ndarray, history: ndarray,
                components: Places) -> tuple[ndarray, ndarray]:
@@ -97,6 +108,30 @@ class LinearElastic:
         rows = [row - (spherical if i == j else 0.0) for row, (i, j) in zip(stress, components)]
         return np.stack(rows) / (2 * self.G)
 
+    def energy_density(self, sigma: ndarray, epsilon: ndarray | None, components: Places) -> ndarray:
+        r"""Elastic energy per current volume, ``(n,)``: :math:`\frac12 \sigma : \varepsilon`.
+
+        At small strain this is the stored energy.  At large strain Cauchy stress linear in strain has none: what it
+        gives back depends on the way by a share of the order of the volume strain.
+
+        Parameters
+        ----------
+        sigma
+            Packed Cauchy stress ``(ncomp, n)``.
+        epsilon
+            Packed elastic logarithmic strain ``(ncomp, n)``; ``None`` where none is kept, at small strain: then that of
+            :meth:`elastic_strain`.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> LinearElastic(E=2.0, nu=0.0).energy_density(np.array([[3.0]]), None, [(0, 0)]).tolist()
+        [2.25]
+        """
+        if epsilon is None:
+            epsilon = self.elastic_strain(sigma, components)
+        return sum((0.5 if i == j else 1.0) * s * e for s, e, (i, j) in zip(sigma, epsilon, components))
+
 
 @dataclass(frozen=True)
 class Hencky(LinearElastic):
@@ -121,6 +156,37 @@ class Hencky(LinearElastic):
     """
 
     kirchhoff = True
+
+    def energy_density(self, sigma: ndarray, epsilon: ndarray | None, components: Places) -> ndarray:
+        r"""Stored energy per current volume, ``(n,)``.
+
+        :math:`\frac12 \varepsilon : D : \varepsilon` is stored per volume of the unstressed body, where
+        :math:`D : \varepsilon = J \sigma`; divided by :math:`J` it is :math:`\frac12 \sigma : \varepsilon`.  That is
+        exact at any strain.
+
+        Parameters
+        ----------
+        sigma
+            Packed Cauchy stress ``(ncomp, n)``.
+        epsilon
+            Packed elastic logarithmic strain ``(ncomp, n)``; ``None`` for an unstressed body only.
+
+        Raises
+        ------
+        ValueError
+            If there is stress without strain: it would need a logarithm of the volume that the law is not given.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> law, J = Hencky(E=2.0, nu=0.0), np.e            # a bar stretched e times: Kirchhoff stress 2
+        >>> bool(law.energy_density(np.array([[2 / J]]), np.array([[1.0]]), [(0, 0)])[0] * J == 1.0)
+        True
+        """
+        if epsilon is None and sigma.any():
+            raise ValueError("epsilon: got None with stress, expected the elastic logarithmic strain that goes with "
+                             "it; Hencky's law runs with strain='logarithmic'.")
+        return super().energy_density(sigma, epsilon, components)
 
 
 @dataclass(frozen=True)
@@ -173,6 +239,9 @@ class VonMises(LinearElastic):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for name in ("peak", "residual", "softening"):
+            if not _is_number(getattr(self, name)):
+                raise ValueError(f"{name}: got {getattr(self, name)!r}, expected one number for the whole body.")
         if not (0 < self.residual <= self.peak):
             raise ValueError(f"residual: got {self.residual} with peak {self.peak}, expected 0 < residual <= peak.")
         if not self.softening <= 0:
@@ -187,23 +256,28 @@ class VonMises(LinearElastic):
         if len(stress) < 4:
             raise ValueError(f"stress: got {len(stress)} component(s), expected 4 or 6; von Mises plasticity needs the "
                              "stress across, so use plane_strain, axisymmetric or solid.")
-        stress = self.trial(strain, stress, components)
-        deviator, q = self._deviator(stress, components)
+        after = self.trial(strain, stress, components)
+        mean, q = self._mean_and_size(after, components)
         slip = self._slip(q, history[0])
+        if not slip.any():
+            return after, history
         scale = 3 * self.G * slip / np.where(q > 0, q, 1.0)
-        return stress - scale * deviator, history + slip
+        for row, (i, j) in zip(after, components):
+            row -= scale * (row - mean if i == j else row)
+        return after, history + slip
 
     def tangent(self, strain: ndarray, stress: ndarray, history: ndarray, places: Places) -> ndarray:
         """Consistent tangent of the radial return, ``(m, m, n)``; arguments as they were given to :meth:`update`."""
         components = PLANE if len(stress) == 4 else SPACE
-        deviator, q = self._deviator(self.trial(strain, stress, components), components)
+        trial = self.trial(strain, stress, components)
+        mean, q = self._mean_and_size(trial, components)
         slip = self._slip(q, history[0])
         size = np.where(q > 0, q, 1.0)
         softens = self.peak + self.softening * (history[0] + slip) > self.residual
         hardening = np.where(softens, np.sqrt(3) * self.softening, 0.0)
         along = np.where(slip > 0, 9 * self.G ** 2 * (slip / size - 1 / (3 * self.G + hardening)) / size ** 2, 0.0)
         shrink = 3 * self.G * slip / size
-        rows = [deviator[components.index((min(place), max(place)))] for place in places]
+        rows = [trial[components.index((min(i, j), max(i, j)))] - (mean if i == j else 0.0) for i, j in places]
         delta = np.eye(3)
         moduli = super().tangent(strain, stress, history, places) * np.ones(len(q))
         for a, (i, j) in enumerate(places):
@@ -213,21 +287,35 @@ class VonMises(LinearElastic):
         return moduli
 
     def dissipation(self, before: ndarray, after: ndarray) -> ndarray:
-        """Energy per volume that plastic flow takes between two histories, ``(n,)``."""
-        cohesion = np.maximum(self.residual, self.peak + self.softening * after[0])
-        return np.sqrt(3) * cohesion * (after[0] - before[0])
+        r"""Energy per volume that plastic flow takes between two histories, ``(n,)``.
+
+        It is :math:`\sqrt3 \bar c \Delta\bar\varepsilon^p` with :math:`\bar c` the mean of the cohesions before and
+        after.  That is the integral of :math:`\sqrt3 c\, d\bar\varepsilon^p`, in any number of steps, but for the one
+        step in which softening ends.  Where a step is plastic throughout and flow keeps its direction, it is exactly
+        the work of the mean stress on the strain increment less what is stored; on bent paths, to second order.
+        """
+        slip = after[0] - before[0]
+        mean = (self._cohesion(before[0]) + self._cohesion(after[0])) / 2
+        return np.sqrt(3) * np.where(slip > 0, mean, 0.0) * slip        # a cohesion without bound times no slip is none
 
     @staticmethod
-    def _deviator(stress: ndarray, components: Places) -> tuple[ndarray, ndarray]:
-        """Deviatoric stress, and its size q, the square root of 3 J_2."""
-        mean = stress[:3].sum(axis=0) / 3
-        deviator = stress - np.stack([mean if i == j else 0 * mean for i, j in components])
-        square = sum(row * row * (1 if i == j else 2) for row, (i, j) in zip(deviator, components))
-        return deviator, np.sqrt(1.5 * square)
+    def _mean_and_size(stress: ndarray, components: Places) -> tuple[ndarray, ndarray]:
+        """Mean stress, and q, the square root of 3 J_2."""
+        mean = (stress[0] + stress[1] + stress[2]) / 3
+        square: Any = 0.0
+        for row, (i, j) in zip(stress, components):
+            if i == j:
+                row = row - mean
+                square = square + row * row
+            else:
+                square = square + 2 * (row * row)
+        return mean, np.sqrt(1.5 * square)
+
+    def _cohesion(self, eps_p: ndarray) -> ndarray:
+        return np.maximum(self.residual, self.peak + self.softening * eps_p)
 
     def _slip(self, q: ndarray, eps_p: ndarray) -> ndarray:
         """Plastic strain increment that brings ``q`` back to the yield surface."""
         root = np.sqrt(3)
-        cohesion = np.maximum(self.residual, self.peak + self.softening * eps_p)
-        softening = (q - root * cohesion) / (3 * self.G + root * self.softening)
+        softening = (q - root * self._cohesion(eps_p)) / (3 * self.G + root * self.softening)
         return np.maximum(0.0, np.minimum(softening, (q - root * self.residual) / (3 * self.G)))

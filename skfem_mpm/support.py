@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from scipy.ndimage import binary_dilation
 from scipy.sparse import coo_array, csr_array, vstack
 
 from .basis import Method, ParticleBasis
-from .grid import Edges, Grid, Stencil, available_sides, whole_cells
+from .grid import Edges, Grid, Stencil, available_sides, corner_nodes, whole_cells, wider
 from .particles import Particles
 
 CUTOFF = 1e-8    # a node is active if its lumped mass exceeds this share of the largest
@@ -66,7 +64,7 @@ class Support:
         active = (self.mass > CUTOFF * self.mass.max()) & ~np.any(behind, axis=0)
         self.sides = available_sides(self.occupied, active.reshape(self.grid.vertices.shape))
         reached = self._touched(self.stencil(method.strain))
-        self.solved = active & reached & self._corners(self.occupied)
+        self.solved = active & reached & corner_nodes(self.occupied).ravel()
         read = reached | self._touched(self.stencil(method.force)) | self._touched(self.mapping)
         self._slave(read | self._felt())
         self._check_known(read)
@@ -94,18 +92,8 @@ class Support:
     def _felt(self) -> ndarray:
         """Nodes the mapping may read anywhere in the occupied cells: of these, and of their neighbours for domains."""
         if self.method.mass.reads_domains:
-            return self._corners(binary_dilation(self.occupied, np.ones((3,) * self.occupied.ndim)))
-        return self._corners(self.occupied)
-
-    def _corners(self, cells: ndarray) -> ndarray:
-        """Nodes of some cells, ``(nnodes,)``, from a mask over all cells."""
-        cells = np.pad(cells, 1)
-        shape: tuple[int, ...] = self.grid.vertices.shape
-        nodes = np.zeros(shape, dtype=bool)
-        for corner in itertools.product((0, 1), repeat=cells.ndim):
-            shifted = tuple(slice(c, c + size) for c, size in zip(corner, shape))
-            nodes |= cells[shifted]
-        return nodes.ravel()
+            return corner_nodes(wider(self.occupied)).ravel()
+        return corner_nodes(self.occupied).ravel()
 
     # -- slaved nodes ------------------------------------------------------------------------------------------------
 

@@ -15,16 +15,18 @@ from skfem_mpm import (
     LinearElastic,
     ParticleBasis,
     Particles,
+    VonMises,
     axisymmetric,
     plane_strain,
     solid,
     uniaxial,
 )
-from skfem_mpm.kinematics import STRAINS, Logarithmic, Small
+from skfem_mpm.kinematics import RATES, STRAINS, Logarithmic, Objective, Small
 
 MOTIONS = [(uniaxial, 1), (plane_strain, 2), (axisymmetric, 1), (axisymmetric, 2), (solid, 3)]
 LAWS = [LinearElastic(E=3.0, nu=0.3), Hencky(E=3.0, nu=0.3), LinearElastic(E=3.0, nu=0.49), Hencky(E=3.0, nu=-0.5)]
 PAIRS = [(Small, law) for law in LAWS if not law.kirchhoff] + [(Logarithmic, law) for law in LAWS]
+SOIL = VonMises(E=400e3, nu=0.35, peak=6e3, residual=1e3, softening=-25e3)
 every_motion = pytest.mark.parametrize("kinematics, dim", MOTIONS, ids=lambda value: getattr(value, "name", value))
 every_law = pytest.mark.parametrize("law", LAWS, ids=str)
 every_pair = pytest.mark.parametrize("strain, law", PAIRS, ids=lambda value: getattr(value, "name", str(value)))
@@ -229,6 +231,87 @@ def test_small_strain_is_fooled_by_a_finite_rotation(kinematics, dim):
     assert_allclose(found.sigma[:2, 0], np.cos(0.1) - 1, rtol=1e-12)
 
 
+# The Jaumann rate.
+
+def spun(kinematics, dim, vectors, sigma, history=None, law=None):
+    """Stress after a step of pure spin, given by the spin's axial vectors ``(3, n)``."""
+    a, b, c = vectors
+    spin = np.array([[0 * a, -c, b], [c, 0 * a, -a], [-b, a, 0 * a]])
+    law = law or LinearElastic(E=3.0, nu=0.3)
+    return Objective(kinematics, dim, law, sigma, None, history).respond(at(kinematics.rows(dim), spin)).sigma
+
+
+def axial(dim, n, size, seed=5):
+    vectors = size * np.random.default_rng(seed).normal(size=(3, n))
+    return vectors * [[dim == 3], [dim == 3], [True]]
+
+
+@in_a_plane_or_space
+@pytest.mark.parametrize("size", [1e-6, 0.1, 1.0, 100.0])
+def test_spin_turns_stress_by_twice_the_arctangent_of_half_of_it(kinematics, dim, size):
+    """Cayley's rotation: a rotation however large the step."""
+    sigma, vectors = draw(kinematics, dim).sigma, axial(dim, 20, size)
+    length = np.linalg.norm(vectors, axis=0)
+    Q = Rotation.from_rotvec((2 * np.arctan(length / 2) / length * vectors).T).as_matrix()
+    expected = (Q @ matrices(kinematics.tensor(sigma)) @ Q.transpose(0, 2, 1)).transpose(1, 2, 0)
+    assert_allclose(spun(kinematics, dim, vectors, sigma), at(kinematics.components, expected), atol=5e-15)
+
+
+@in_a_plane_or_space
+def test_a_thousand_spins_leave_the_principal_stresses_alone(kinematics, dim):
+    sigma = start = draw(kinematics, dim).sigma
+    for step in range(1000):
+        sigma = spun(kinematics, dim, axial(dim, 20, 0.3, seed=step), sigma)
+    before, after = (np.linalg.eigvalsh(matrices(kinematics.tensor(each))) for each in (start, sigma))
+    assert_allclose(after, before, atol=1e-13)
+
+
+@in_a_plane_or_space
+def test_a_turn_in_many_steps_tends_to_the_finite_rotation_at_second_order(kinematics, dim):
+    given, vector = draw(kinematics, dim), axial(dim, 20, 1.0)
+    Q = Rotation.from_rotvec(vector.T).as_matrix()
+    expected = at(kinematics.components,
+                  (Q @ matrices(kinematics.tensor(given.sigma)) @ Q.transpose(0, 2, 1)).transpose(1, 2, 0))
+    errors = []
+    for steps in (10, 20, 40):
+        sigma = given.sigma
+        for _ in range(steps):
+            sigma = spun(kinematics, dim, vector / steps, sigma)
+        errors.append(np.abs(sigma - expected).max())
+    assert errors[-1] < 3e-3
+    assert min(errors[0] / errors[1], errors[1] / errors[2]) > 3.8
+
+
+@every_motion
+def test_without_spin_the_rate_is_that_of_small_strain_bit_for_bit(kinematics, dim):
+    given = draw(kinematics, dim)
+    gradient = given.gradient.copy()
+    block = gradient[:dim * dim].reshape(dim, dim, -1)
+    block[:] = block + block.transpose(1, 0, 2)
+    one, other = (strain(kinematics, dim, LAWS[0], given.sigma, None) for strain in (Small, Objective))
+    assert_array_equal(one.respond(gradient).sigma, other.respond(gradient).sigma)
+
+
+@in_a_plane_or_space
+def test_in_a_closed_cycle_the_jaumann_rate_leaves_stress_and_logarithmic_strain_leaves_none(kinematics, dim):
+    """A known limit: what is left falls with the cube of the strain (stretch, shear and back again)."""
+    corners = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]
+    left = []
+    for size in (0.1, 0.05):
+        path = [[size * (a + t * (c - a)), size * (b + t * (d - b))]
+                for (a, b), (c, d) in zip(corners, corners[1:]) for t in np.arange(100) / 100] + [[0.0, 0.0]]
+        for strain in (Objective, Logarithmic):
+            sigma, epsilon, F = np.zeros((kinematics.ncomp, 1)), None, np.eye(3)
+            for stretch, shear in path:
+                new = np.eye(3) + stretch * np.outer([1, 0, 0], [1, 0, 0]) + shear * np.outer([1, 0, 0], [0, 1, 0])
+                change = at(kinematics.rows(dim), (new @ np.linalg.inv(F) - np.eye(3))[:, :, None])
+                answer = strain(kinematics, dim, LAWS[0], sigma, epsilon).respond(change)
+                sigma, epsilon, F = answer.sigma, answer.epsilon, new
+            left.append(np.abs(sigma).max())
+    assert max(left[1], left[3]) < 1e-13
+    assert 0 < left[2] < left[0] / 3 < 0.1 ** 2
+
+
 # Tangents.
 
 def differences(motion, gradient, step=1e-6):
@@ -319,6 +402,117 @@ def test_two_inverted_stretches_do_not_make_a_sound_one(dim, strain):
     gradient = np.array([[-1.5 if place in ((0, 0), (2, 2)) else 0.0] for place in rows])
     ratio = strain(axisymmetric, dim, LAWS[0], np.zeros((4, 1)), None).stretch(gradient)
     assert not ratio[0] > 0
+
+
+# What laws may answer.
+
+def refused(update, *, strain=Small, history=(), **members):
+    """The message for a law whose update is ``update``."""
+    def wrong(self, strain, stress, history, components):
+        return update(*LinearElastic.update(self, strain, stress, history, components), strain, stress)
+
+    law = type("Mine", (LinearElastic,), {"update": wrong, "history": history, **members})(E=3.0, nu=0.3)
+    with pytest.raises((ValueError, TypeError)) as caught:
+        strain(plane_strain, 2, law, np.zeros((4, 5)), None).respond(np.zeros((4, 5)))
+    return str(caught.value)
+
+
+def in_place(stress, history, strain, before):
+    before += stress
+    return before, history
+
+
+@pytest.mark.parametrize("strain", [Small, Objective, Logarithmic])
+@pytest.mark.parametrize("update, message", [
+    (lambda s, h, *_: s, r"Mine.update: got one ndarray, expected the pair (stress, history)."),
+    (lambda s, h, *_: None, "Mine.update: got one NoneType, expected the pair"),
+    (lambda s, h, *_: (s, h, h), "Mine.update: got 3 values, expected the pair"),
+    (lambda s, h, *_: (s[:2], h), "Mine.update: got shape (2, 5) for the stress, expected (4, 5)"),
+    (lambda s, h, *_: (s.T, h), "Mine.update: got shape (5, 4) for the stress, expected (4, 5)"),
+    (lambda s, h, *_: (s[:, :1], h), "Mine.update: got shape (4, 1) for the stress, expected (4, 5)"),
+    (lambda s, h, *_: (list(s), h), "Mine.update: got list for the stress, expected an array of floats (4, 5)"),
+    (lambda s, h, *_: (s + 0j, h), "Mine.update: got an array of complex128 for the stress"),
+    (lambda s, h, *_: (s, s), "Mine.update: got shape (4, 5) for the history, expected (0, 5)"),
+    (lambda s, h, *_: (s, None), "Mine.update: got NoneType for the history"),
+    (in_place, "Mine.update: it changes its arguments in place, expected a pure function; write a = a + b"),
+])
+def test_a_law_that_answers_with_something_else_is_named(strain, update, message):
+    assert message in refused(update, strain=strain)
+
+
+@pytest.mark.parametrize("members, message", [
+    ({"history": "eps_p"}, "material: got Mine with the history 'eps_p', expected a tuple of names"),
+    ({"history": ["eps_p"]}, "expected a tuple of names"),
+])
+def test_a_history_is_a_tuple_of_names(members, message):
+    assert message in refused(lambda s, h, *_: (s, h), **members)
+
+
+class NoLaw:
+    kirchhoff = False
+
+    def update(self, strain, stress, history, components):
+        return stress, history
+
+
+@pytest.mark.parametrize("law, message", [
+    (3, "got int, without kirchhoff, history, update, tangent; expected a law with"),
+    (NoLaw(), "got NoLaw, without history, tangent"),
+    (LinearElastic, r"got the class LinearElastic, expected a law; give it numbers, as in LinearElastic\(E="),
+])
+@pytest.mark.parametrize("strain", [Small, Objective, Logarithmic])
+def test_what_is_no_law_is_refused(strain, law, message):
+    with pytest.raises(TypeError, match=f"^material: {message}"):
+        strain(plane_strain, 2, law, np.zeros((4, 5)), None)
+
+
+def test_a_law_with_a_history_must_know_its_elastic_strain_at_finite_strain():
+    class Half(NoLaw):
+        history = ("a",)
+        tangent = LinearElastic.tangent
+
+    Small(plane_strain, 2, Half(), np.zeros((4, 5)), None)
+    with pytest.raises(TypeError, match="got Half, without elastic_strain"):
+        Logarithmic(plane_strain, 2, Half(), np.zeros((4, 5)), None)
+
+
+@pytest.mark.parametrize("strain", [Small, Objective, Logarithmic])
+@pytest.mark.parametrize("shape", [(2, 5), (1, 4), (5,)])
+def test_a_history_that_is_not_the_laws_is_refused(strain, shape):
+    with pytest.raises(ValueError, match=r"history: got shape .* expected \(1, 5\), .* each of eps_p of VonMises"):
+        strain(plane_strain, 2, SOIL, np.zeros((4, 5)), None, np.zeros(shape))
+
+
+@pytest.mark.parametrize("strain", [Small, Objective, Logarithmic])
+def test_a_law_without_a_history_forgets_that_of_another(strain):
+    gradient = np.full((4, 5), 0.01)
+    answer = strain(plane_strain, 2, LAWS[0], np.zeros((4, 5)), None, np.ones((1, 5))).respond(gradient)
+    assert answer.history.shape == (0, 5)
+
+
+def test_a_tangent_of_the_wrong_shape_is_named():
+    class Bent(LinearElastic):
+        def tangent(self, *given):
+            return super().tangent(*given)[:, :, 0]
+
+    for strain in (Small, Logarithmic):
+        answer = strain(plane_strain, 2, Bent(E=3.0, nu=0.3), np.zeros((4, 5)), None).respond(np.zeros((4, 5)))
+        with pytest.raises(ValueError, match=r"Bent.tangent: got shape \(4, 4\), expected \(4, 4, 5\), or \(4, 4, 1\)"):
+            answer.tangent()
+
+
+@pytest.mark.parametrize("strain", RATES.values(), ids=RATES)
+def test_a_law_may_hand_back_what_it_was_given_or_odd_arrays(strain):
+    """What comes out can be written to, is in doubles and in one piece, as compiled code wants it."""
+    class Lazy(LinearElastic):
+        def update(self, strain, stress, history, components):
+            return (stress if self.nu else np.asfortranarray(strain, dtype=np.float32)), history
+
+    for nu in (0.0, 0.3):
+        start = np.full((4, 5), 0.125)
+        answer = strain(plane_strain, 2, Lazy(E=3.0, nu=nu), start, start).respond(np.full((4, 5), 0.25))
+        assert answer.sigma.dtype == float and answer.sigma.flags.c_contiguous and answer.sigma.flags.writeable
+        assert (start == 0.125).all()
 
 
 # Storage and forms.

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from skfem_mpm import LinearElastic, VonMises, axisymmetric, plane_strain, solid, uniaxial
-from skfem_mpm.kinematics import Logarithmic, Objective
+from skfem_mpm.kinematics import Logarithmic, Objective, Small
 
 PAPER = {"E": 400e3, "nu": 0.35, "peak": 6e3, "residual": 1e3, "softening": -25e3}
 SOIL = VonMises(**PAPER)
@@ -148,7 +148,8 @@ def rate_equations(law, components):
                                  VonMises(**(PAPER | {"softening": -200e3}))], ids=["soft", "perfect", "brittle"])
 def test_the_return_tends_to_the_rate_equations_at_first_order(law):
     start = np.array([law.peak, -law.peak, 0.0, 0.0])
-    end = solve_ivp(rate_equations(law, PLANE), (0, 1), np.append(start, 0.0), rtol=1e-10, atol=1e-8, max_step=1e-3).y[:, -1]
+    rates = rate_equations(law, PLANE)
+    end = solve_ivp(rates, (0, 1), np.append(start, 0.0), rtol=1e-10, atol=1e-8, max_step=1e-3).y[:, -1]
     errors = []
     for steps in (100, 200, 400):
         middles = (np.arange(steps) + 0.5) / steps
@@ -195,9 +196,18 @@ def test_a_cohesion_without_bound_is_elasticity():
     assert (history == 0).all()
 
 
-def test_a_cohesion_without_bound_dissipates_nothing():
-    law, history = VonMises(E=1e5, nu=0.3), np.zeros((1, 3))
-    assert_array_equal(law.dissipation(history, history), np.zeros(3))
+@pytest.mark.parametrize("given", [{}, {"softening": -1e3}, {"residual": 5.0, "softening": -1e3}], ids=str)
+def test_a_cohesion_without_bound_dissipates_nothing(given):
+    """No infinity meets a zero, in stress, tangent or energy."""
+    law, elastic = VonMises(E=1e5, nu=0.3, **given), LinearElastic(E=1e5, nu=0.3)
+    strain, history = walk(PLANE, 1.0, steps=1)[0], np.zeros((1, 80))
+    with np.errstate(all="raise"):
+        stress, later = law.update(strain, np.zeros((4, 80)), history, PLANE)
+        moduli = law.tangent(strain, np.zeros((4, 80)), history, plane_strain.rows(2))
+        assert_array_equal(law.dissipation(history, later), np.zeros(80))
+    assert_array_equal(stress, elastic.trial(strain, np.zeros((4, 80)), PLANE))
+    assert_array_equal(moduli, elastic.tangent(strain, stress, later, plane_strain.rows(2)) * np.ones(80))
+    assert (later == 0).all()
 
 
 def test_the_law_has_no_direction():
@@ -236,30 +246,61 @@ def test_units_do_not_matter():
 
 # Energy
 
+def balance(law, states, increments, components):
+    """Work of the mean stress, change of stored energy and dissipation, summed over steps, each ``(n,)``."""
+    work = sum(contract((a + b) / 2, strain, components)
+               for strain, (a, _), (b, _) in zip(increments, states, states[1:]))
+    lost = sum(law.dissipation(a, b) for (_, a), (_, b) in zip(states, states[1:]))
+    first, last = (law.energy_density(states[k][0], None, components) for k in (0, -1))
+    return work, last - first, lost
+
+
 @every_motion
-def test_dissipation_is_the_work_of_the_stress_on_the_flow(kinematics):
+@pytest.mark.parametrize("eps_p", [0.0, 0.15, 0.1999, 0.3], ids=["peak", "soft", "corner", "residual"])
+def test_energy_balances_exactly_in_a_step_along_the_stress_that_is_plastic_throughout(kinematics, eps_p):
+    """With the mean of the cohesions before and after; with the one after, the share of softening would be missing."""
     components = kinematics.components
-    increments = walk(components, 1e-2)
-    states = follow(SOIL, increments, components)
-    for strain, (stress, history), (after, later) in zip(increments, states, states[1:]):
-        plastic = strain - SOIL.elastic_strain(after - stress, components)
-        assert_allclose(SOIL.dissipation(history, later), contract(after, plastic, components), rtol=1e-9, atol=1e-9)
+    along = deviator(walk(components, 1.0, steps=1)[0], components)
+    along /= shear_stress(along, components)
+    before = np.full((1, along.shape[1]), eps_p)
+    start = (cohesion(SOIL, before) * along, before)
+    strain = 0.01 * along
+    strain[:3] += 0.02 * walk(components, 1.0, steps=1, seed=1)[0][0]       # pressure comes and goes as it likes
+    states = [start, SOIL.update(strain, *start, components)]
+    assert (states[1][1] > before).all()
+    work, stored, lost = balance(SOIL, states, [strain], components)
+    assert_allclose(work, stored + lost, rtol=1e-11, atol=1e-9)
 
 
-def test_dissipation_is_stress_power_less_elastic_energy():
-    """Along a bent path, the difference falls with the step."""
+def test_dissipation_is_the_area_under_the_cohesion_in_any_number_of_steps():
+    area = ROOT * (6e3 * 0.18 - 25e3 * 0.18 ** 2 / 2)
+    for steps in (1, 3, 50):
+        path = np.linspace(0, 0.18, steps + 1)[:, None, None]
+        assert_allclose(sum(SOIL.dissipation(a, b) for a, b in zip(path, path[1:])), area, rtol=1e-13)
+    ends = np.linspace(0.18, 0.22, 401)[:, None, None]              # softening ends at 0.2, within a step or not
+    area += ROOT * ((1500.0 + 1000.0) / 2 * 0.02 + 1000.0 * 0.02)
+    found = SOIL.dissipation(np.zeros((1, 1)), ends[0]) + sum(SOIL.dissipation(a, b) for a, b in zip(ends, ends[1:]))
+    assert_allclose(found, area, rtol=1e-6)
+
+
+def test_energy_balances_to_second_order_along_a_bent_path():
     start = np.array([[SOIL.peak], [-SOIL.peak], [0.0], [0.0]])
     gaps = []
     for steps in (200, 400, 800):
         increments = np.array([bent_path(t) / steps for t in (np.arange(steps) + 0.5) / steps])[:, :, None]
         states = follow(SOIL, increments, PLANE, start, np.zeros((1, 1)))
-        power = sum(contract((a + b) / 2, strain, PLANE)[0]
-                    for strain, (a, _), (b, _) in zip(increments, states, states[1:]))
-        stored = [contract(stress, SOIL.elastic_strain(stress, PLANE), PLANE)[0] / 2 for stress, _ in states]
-        lost = sum(SOIL.dissipation(a, b)[0] for (_, a), (_, b) in zip(states, states[1:]))
-        gaps.append(abs(power - (stored[-1] - stored[0]) - lost) / lost)
-    assert gaps[-1] < 2e-3
-    assert gaps[0] / gaps[1] > 1.7 and gaps[1] / gaps[2] > 1.7
+        work, stored, lost = balance(SOIL, states, increments, PLANE)
+        gaps.append(abs(work - stored - lost)[0] / lost[0])
+    assert gaps[-1] < 2e-5
+    assert min(gaps[0] / gaps[1], gaps[1] / gaps[2]) > 3.4
+
+
+@every_motion
+def test_flow_takes_energy_and_never_gives(kinematics):
+    states = follow(SOIL, walk(kinematics.components, 1e-2), kinematics.components)
+    lost = np.array([SOIL.dissipation(a, b) for (_, a), (_, b) in zip(states, states[1:])])
+    slipped = np.array([b[0] > a[0] for (_, a), (_, b) in zip(states, states[1:])])
+    assert (lost[slipped] > 0).all() and (lost[~slipped] == 0).all()
 
 
 @pytest.mark.parametrize("kinematics", [uniaxial, plane_strain, axisymmetric, solid], ids=lambda k: k.name)
@@ -297,6 +338,64 @@ def test_turning_does_not_make_soil_yield():
     assert_allclose(history, start[1], rtol=1e-9)
 
 
+class KirchhoffSoil(VonMises):
+    """The same in Kirchhoff stress."""
+
+    kirchhoff = True
+
+
+BRANCHES = {"elastic": (0.0, 1e-3), "soft": (0.0, 0.03), "residual": (0.3, 0.03), "both": (0.17, 0.05)}
+ROOM = [(plane_strain, 2), (axisymmetric, 1), (axisymmetric, 2), (solid, 3)]
+
+
+@pytest.mark.parametrize("strain, law", [(Small, SOIL), (Logarithmic, SOIL), (Logarithmic, KirchhoffSoil(**PAPER))],
+                         ids=["small", "logarithmic", "kirchhoff"])
+@pytest.mark.parametrize("kinematics, dim", ROOM, ids=lambda value: getattr(value, "name", value))
+@pytest.mark.parametrize("branch", BRANCHES)
+def test_the_tangent_is_the_derivative_of_the_stress(strain, law, kinematics, dim, branch):
+    (eps_p, size), random = BRANCHES[branch], np.random.default_rng(0)
+    rows, n = kinematics.rows(dim), 30
+    sheared = np.array([[i == j or (i, j) in rows] for i, j in kinematics.components])
+    epsilon = 1e-3 * sheared * random.normal(size=(kinematics.ncomp, n))
+    sigma, history = law.trial(epsilon, 0 * epsilon, kinematics.components), np.full((1, n), eps_p)
+    motion = strain(kinematics, dim, law, sigma, epsilon, history)
+    gradient = size * random.normal(size=(len(rows), n))
+    answer = motion.respond(gradient)
+    slips, ends = answer.history > history, cohesion(law, answer.history) == law.residual
+    assert {"elastic": ~slips, "soft": ~ends, "residual": ends, "both": ends | slips}[branch].mean() > 0.7
+    exact = np.broadcast_to(answer.tangent(), (len(rows), len(rows), n))
+    step = 1e-7
+    found = np.stack([motion.respond(gradient + step * unit[:, None]).piola
+                      - motion.respond(gradient - step * unit[:, None]).piola for unit in np.eye(len(rows))], axis=1)
+    close = np.isclose(found / (2 * step), exact, atol=2e-6 * law.E).all(axis=(0, 1))
+    assert close.mean() > 0.95           # no derivative where a difference reaches over the corner of a branch
+
+
+def test_a_bar_drawn_out_and_back_keeps_the_work_of_its_flow():
+    """Finite strain in space: work is stored energy and dissipation; in Kirchhoff stress per volume at rest, here 1."""
+    def gradient(t):
+        return 0.3 * np.array([np.sin(t), 0.5 * np.sin(2 * t), 0, -0.2 * np.sin(t), -0.5 * np.sin(t), 0, 0, 0, 0.0])
+
+    gaps = []
+    for steps in (100, 200, 400):
+        sigma, epsilon, history, volume = np.zeros((6, 1)), np.zeros((6, 1)), np.zeros((1, 1)), 1.0
+        work = lost = 0.0
+        F = np.eye(3)
+        for t in np.linspace(0, 2 * np.pi, steps + 1)[1:]:
+            new = np.eye(3) + gradient(t).reshape(3, 3)
+            change = (new @ np.linalg.inv(F) - np.eye(3)).reshape(9, 1)
+            answer = Logarithmic(solid, 3, KirchhoffSoil(**PAPER), sigma, epsilon, history).respond(change)
+            start = np.stack([solid.tensor(sigma)[place] for place in solid.rows(3)])
+            work += volume * ((start + answer.piola) / 2 * change).sum()
+            lost += SOIL.dissipation(history, answer.history)[0]
+            F, volume = new, volume * answer.ratio[0]
+            sigma, epsilon, history = answer.sigma, answer.epsilon, answer.history
+        stored = KirchhoffSoil(**PAPER).energy_density(sigma, epsilon, SPACE)[0] * volume
+        gaps.append(abs(work - stored - lost) / lost)
+    assert history[0, 0] > 0.2 and gaps[-1] < 1e-3
+    assert gaps[0] / gaps[2] > 3
+
+
 # What it refuses
 
 def test_updates_are_pure():
@@ -321,6 +420,10 @@ def test_updates_are_pure():
     ({"softening": np.nan}, "^softening: got nan"),
     ({"softening": -np.inf}, "^softening: got -inf"),
     ({"softening": -257e3}, r"^softening: got -257000\.0, steeper.*-256600"),
+    ({"softening": "steep"}, "^softening: got 'steep', expected one number"),
+    ({"peak": np.array([6e3, 7e3])}, r"^peak: got array\(.*\), expected one number for the whole body"),
+    ({"residual": [1e3, 2e3]}, "^residual: got .*expected one number"),
+    ({"peak": None}, "^peak: got None, expected one number"),
     ({"E": 0.0}, "^E: got 0"),
     ({"nu": 0.5}, "^nu: got 0.5"),
 ], ids=str)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from numbers import Integral
 from typing import Any
 
@@ -11,24 +12,28 @@ import numpy as np
 from skfem import Mesh
 
 from ..basis import METHODS, Method
-from ..checks import check_choice
+from ..checks import check_array, check_choice
 from ..grid import EDGES, Edges
 from ..kinematics import RATES
 from ..particles import Particles
 from .engine import ENGINES, make_run
-from .state import Choices, ExplicitState
+from .run import Run
+from .state import LEDGER, Choices, ExplicitState
 
 __all__ = ["ExplicitState", "explicit_steps"]
 
 INTEGRATORS = ("musl", "usl", "usf")
+REMEDIES = ("none", "bbar")
+LEAVING = ("error", "remove")
 
 
-def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundary: Sequence[Any] = (), *,
-                   steps: int, every: int = 1, method: str | Method = "mpm", strain: str = "small",
+def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
+                   boundary: Sequence[Any] | None = None, *, steps: int, every: int = 1,
+                   every_seconds: float | None = None, method: str | Method = "mpm", strain: str = "small",
                    integrator: str = "musl", edges: Edges = "ghost", flip: float = 1.0, xpic: int = 0,
-                   damping: float = 0.0, gravity: Any = None, ramp: float = 0.0, dt: float | None = None,
-                   safety: float = 0.8, refresh: int = 50, engine: str = "auto",
-                   threads: int = 1) -> Iterator[ExplicitState]:
+                   tpic: bool = False, remedy: str = "none", damping: float = 0.0, gravity: Any = None,
+                   ramp: float = 0.0, dt: float | None = None, safety: float = 0.8, refresh: int | None = None,
+                   leaving: str = "error", engine: str = "auto", threads: int = 1) -> Iterator[ExplicitState]:
     """Move a body in time; yields an :class:`ExplicitState` every ``every`` steps and after the last one.
 
     Parameters
@@ -40,9 +45,11 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
     material
         A law such as ``LinearElastic`` or ``VonMises``.
     boundary
-        Fixed planes, see :mod:`skfem_mpm.boundary`.
+        Fixed planes, see :mod:`skfem_mpm.boundary`; those of the state if not given.
     steps, every
         Number of time steps to do, and after how many to yield.
+    every_seconds
+        Yield whenever another such span of simulated time has passed, instead of ``every`` so many steps.
     method
         A name of ``METHODS`` or a ``Method``.
     strain
@@ -55,6 +62,11 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
         Share of FLIP in the velocity update, the rest is PIC.
     xpic
         Order of XPIC, which filters what the grid does not see; 0 is none, 1 is PIC.
+    tpic
+        Points hand their velocity gradient on to the nodes too (TPIC, after Taylor); with ``flip=0`` it conserves
+        what plain PIC smears.
+    remedy
+        Against volumetric locking: ``none``, or ``bbar``, dilation and mean stress as means over cells.
     damping
         Local damping: nodal forces lose this share of their size against the velocity.
     gravity
@@ -64,9 +76,12 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
     dt
         Time step; found from the highest frequency of the layout, times ``safety``, and refreshed, if not given.
     safety
-        Share of the stable step to take.
+        Share of the stable step to take, above 0 and at most 1.
     refresh
-        After how many steps the stable step is found again.
+        After how many steps the stable step is found again; 50 if not given, but 1 with ``usl`` or ``tpic``, whose
+        stable step collapses for a while when a point enters an empty cell.
+    leaving
+        What to do when a point leaves the mesh: ``error``, or ``remove`` it and go on.
     engine
         ``numpy``, ``numba`` (compiled, needs the extra ``fast``), or ``auto``: numba if there are points enough for it
         to pay and it is installed.  A state says which one made it, and a run that goes on keeps it.
@@ -78,9 +93,10 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
     ValueError, TypeError
         If an argument is unknown or does not fit.
     OutsideGridError
-        If a point or a domain leaves the grid.
+        If a point or a domain leaves the grid, and ``leaving`` is ``error``.
     UnstableError
-        If a velocity or a stress is no longer finite, or a point turns inside out; ``.state`` is the last good state.
+        If a velocity or a stress is no longer finite, a point turns inside out or moves further than a cell in one
+        step, or the body has ten times the energy it was given; ``.state`` is the last one that was yielded.
 
     Warns
     -----
@@ -105,41 +121,57 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any, 
         check_choice("method", method, METHODS)
         method = METHODS[method]
     for name, value, names in [("strain", strain, RATES), ("integrator", integrator, INTEGRATORS),
-                               ("edges", edges, EDGES), ("engine", engine, ENGINES)]:
+                               ("edges", edges, EDGES), ("remedy", remedy, REMEDIES), ("leaving", leaving, LEAVING),
+                               ("engine", engine, ENGINES)]:
         check_choice(name, value, names)
+    remaps = integrator != "usl" and not tpic
+    refresh = refresh if refresh is not None else 50 if remaps else 1
     for name, count, least in [("steps", steps, 1), ("every", every, 1), ("refresh", refresh, 1), ("xpic", xpic, 0),
                                ("threads", threads, 1)]:
         if not (isinstance(count, Integral) and count >= least):
             raise ValueError(f"{name}: got {count}, expected a whole number of at least {least}.")
     for name, number in [("flip", flip), ("damping", damping), ("safety", safety)]:
-        if not 0 <= number <= 1:
-            raise ValueError(f"{name}: got {number}, expected a share from 0 to 1.")
-    if dt is not None and not (np.isfinite(dt) and dt > 0):
-        raise ValueError(f"dt: got {dt}, expected a time step above zero, or None to have it found.")
-    if not (np.isfinite(ramp) and ramp >= 0):
-        raise ValueError(f"ramp: got {ramp}, expected a time of zero or more.")
-    choices = Choices(method, strain, integrator, edges, flip, xpic, damping, dt, safety, refresh)
+        if not (0 <= number <= 1 and (number > 0 or name != "safety")):
+            raise ValueError(f"{name}: got {number}, expected a share from 0 to 1{', above 0' * (name == 'safety')}.")
+    for name, number in [("dt", dt), ("every_seconds", every_seconds)]:
+        if number is not None and not (np.isfinite(number) and number > 0):
+            raise ValueError(f"{name}: got {number}, expected a time span above zero, or None.")
+    if remedy == "bbar" and edges == "truncate":
+        raise ValueError("remedy: got 'bbar' with edges='truncate', where nodes are missing that say how much of a "
+                         "domain is in which cell; use edges='ghost' or 'clip'.")
+    load = _load(gravity, ramp, start.particles.dim if isinstance(start, ExplicitState) else start.dim)
     if method.strain is not method.force:
         warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow slowly, at any "
                       "time step; 'cmpm-c' and 'gimp' do not.", UserWarning, stacklevel=2)
-    return _run(mesh, start, material, tuple(boundary), choices, int(steps), int(every), _load(gravity, ramp),
-                engine, int(threads))
+    choices = Choices(method, strain, integrator, edges, flip, xpic, bool(tpic), damping, load, dt, safety,
+                      int(refresh), remedy, leaving)
+    run = make_run(engine, int(threads), mesh, _start(start, boundary, int(refresh)), material, choices)
+    return _yield(run, int(steps), int(every), every_seconds)
 
 
-def _load(gravity: Any, ramp: float) -> Callable[[float], Any]:
-    full = None if gravity is None else np.asarray(gravity, dtype=float)
-    if full is None or not ramp:
+def _load(gravity: Any, ramp: float, dim: int) -> Callable[[float], Any]:
+    """Body force per mass over time."""
+    if not (np.isfinite(ramp) and ramp >= 0):
+        raise ValueError(f"ramp: got {ramp}, expected a time of zero or more.")
+    if gravity is None:
+        return lambda time: None
+    full = check_array("gravity", np.asarray(gravity, dtype=float), (dim,))
+    if not ramp:
         return lambda time: full
     return lambda time: full * min(time / ramp, 1.0)
 
 
-def _run(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundary: tuple[Any, ...], choices: Choices,
-         steps: int, every: int, load: Callable[[float], Any], engine: str, threads: int) -> Iterator[ExplicitState]:
+def _start(start: Particles | ExplicitState, boundary: Sequence[Any] | None, refresh: int) -> ExplicitState:
+    """The state to start from; its time step is found at once."""
     if isinstance(start, Particles):
-        ledger = dict.fromkeys(("plastic", "damped", "external"), 0.0)
-        start = ExplicitState(0, 0.0, 0.0, -choices.refresh, start, boundary, ledger)
-    run = make_run(engine, threads, mesh, start, material, choices, load)
+        return ExplicitState(0, 0.0, 0.0, -refresh, start, tuple(boundary or ()), dict.fromkeys(LEDGER, 0.0))
+    return start if boundary is None else replace(start, boundary=tuple(boundary))
+
+
+def _yield(run: Run, steps: int, every: int, seconds: float | None) -> Iterator[ExplicitState]:
     for count in range(1, steps + 1):
+        before = run.time
         run.advance()
-        if count % every == 0 or count == steps:
+        due = count % every == 0 if seconds is None else run.time // seconds > before // seconds
+        if due or count == steps:
             yield run.snapshot()

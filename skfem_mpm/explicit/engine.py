@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 from skfem import Mesh
@@ -20,8 +19,8 @@ WORTHWHILE = {(1, 2): 5000, (1, 4): 5000, (2, 2): 1000, (2, 4): 500, (3, 2): 400
 COMPILED = {ParticleBasis, GIMPBasis, CMPMBasis}
 
 
-def make_run(engine: str, threads: int, mesh: Mesh, start: ExplicitState, material: Any, choices: Choices,
-             load: Callable[[float], Any]) -> Run:
+def make_run(engine: str, threads: int, mesh: Mesh, start: ExplicitState, material: Any,
+             choices: Choices) -> Run:
     """The run of the chosen engine.
 
     Raises
@@ -38,16 +37,16 @@ def make_run(engine: str, threads: int, mesh: Mesh, start: ExplicitState, materi
                          "engine='numpy'.")
     wanted = engine == "numba" or (engine == "auto" and known and _pays(start, method))
     if not wanted:
-        return Run(mesh, start, material, choices, load)
+        return Run(mesh, start, material, choices)
     if importlib.util.find_spec("numba") is None:
         if engine == "numba":
             raise ImportError("engine: got 'numba', which is not installed; install the extra with "
                               "pip install 'skfem-mpm[fast]', or use engine='numpy'.")
         warnings.warn("a run of this size is many times faster with numba: pip install 'skfem-mpm[fast]'.", UserWarning,
                       stacklevel=4)
-        return Run(mesh, start, material, choices, load)
+        return Run(mesh, start, material, choices)
     from .compiled import CompiledRun  # numba is slow to import
-    return CompiledRun(mesh, start, material, choices, load, threads)
+    return CompiledRun(mesh, start, material, choices, threads)
 
 
 def _pays(start: ExplicitState, method: Method) -> bool:

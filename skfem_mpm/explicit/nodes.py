@@ -1,4 +1,4 @@
-"""The grid of one explicit step: stencils, lumped masses, and what planes and light nodes do to nodal sums."""
+"""The grid of one explicit step: operators, lumped masses, and what planes and light nodes do to nodal sums."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ from typing import Any
 
 import numpy as np
 from numpy import ndarray
+from scipy.sparse import csr_array
 
 from ..basis import Method, ParticleBasis
-from ..grid import Edges, Grid, Stencil, available_sides
+from ..grid import Edges, Grid, Stencil, available_sides, corner_nodes, wider
+from ..kinematics import Kinematics
+from .operators import Operators
 
-CUTOFF = 1e-8    # a node is active if its lumped mass exceeds this share of the largest
+CUTOFF = 1e-8    # a node is active if its lumped mass exceeds this share of the largest, on the grid or around it
+MARGIN = 2       # how many cells wider than the body the window of the grid is
 
 
 class Nodes:
@@ -20,6 +24,9 @@ class Nodes:
 
     Sums at nodes behind a fixed plane fold onto their mirror images, and those at light nodes go to the active nodes
     around them; velocities come back the same way.  Both maps are transposes of each other, so momentum is kept.
+
+    A node is light if points may read it and it is not active, even without any mass: a point on a face sees the far
+    nodes by their slopes alone.
 
     Attributes
     ----------
@@ -31,87 +38,117 @@ class Nodes:
         ``(nnodes,)``; which nodes have an equation of motion.
     fixed
         ``(dim, nnodes)``; which components stand still.
+    mapping, strain, force
+        Operators of the three bases of the method.
     """
 
-    def __init__(self, full: Grid, x: ndarray, mass: ndarray, length: ndarray | None, method: Method, edges: Edges,
-                 planes: Sequence[Any]):
+    def __init__(self, full: Grid, kinematics: Kinematics, x: ndarray, mass: ndarray, length: ndarray | None,
+                 method: Method, edges: Edges, planes: Sequence[Any]):
         index = full.locate(x)
-        self.grid = grid = full.window(index)
-        self.index = grid.locate(x)
-        self.mapping = self._stencil(method.mass, x, length, edges, None)
+        self.grid = grid = full.window(index, MARGIN)
+        self.index = index - np.maximum(index.min(axis=1, keepdims=True) - MARGIN, 0)
+        self.kinematics, self.x, self.length, self.edges = kinematics, x, length, edges
+        self.mapping = self._operators(method.mass, None)
         self.mirrors = [mirror for plane in planes for mirror in mirrors(grid, plane)]
         self.fixed = np.any([plane.fixes(grid) for plane in planes] or [np.zeros((grid.dim, grid.nnodes))], axis=0)
-        total = self.mapping.to_nodes(mass)
-        for inside, outside, _ in self.mirrors:
-            total[inside] += total[outside]
-            total[outside] = 0
-        self.active = total > CUTOFF * total.max()
-        self.light = self._light(total)
-        self.mass = self._collect(total[None], mirror=False)[0]
-        stencils = {method.mass: self.mapping}
+        total = self.fold(self.mapping.to_nodes(mass[None]), signed=False)[0]
+        self.active = self._carries(total)
+        self._lighten(method.mass.reads_domains)
+        self.mass = self.collect(total[None])[0]
+        found = {method.mass: self.mapping}
         others = {method.strain, method.force} - {method.mass}
         if others:
-            active = self.active | self._mirrored()
-            sides = available_sides(grid.occupied(self.index), active.reshape(grid.vertices.shape))
-            stencils |= {basis: self._stencil(basis, x, length, edges, sides) for basis in others}
-        self.strain, self.force = stencils[method.strain], stencils[method.force]
+            sides = available_sides(self.occupied, self.active.reshape(grid.vertices.shape))
+            found |= {basis: self._operators(basis, sides) for basis in others}
+        self.strain, self.force = found[method.strain], found[method.force]
 
-    def _stencil(self, basis: type[ParticleBasis], x: ndarray, length: ndarray | None, edges: Edges,
-                 sides: ndarray | None) -> Stencil:
-        return basis.stencil_of(self.grid, x, self.index, length, edges, sides)
+    def _operators(self, basis: type[ParticleBasis], sides: ndarray | None) -> Operators:
+        stencil: Stencil = basis.stencil_of(self.grid, self.x, self.index, self.length, self.edges, sides)
+        return Operators(self.kinematics, stencil, self.x[0])
 
-    def _mirrored(self) -> ndarray:
-        mask = np.zeros(self.grid.nnodes, dtype=bool)
-        for _, outside, _ in self.mirrors:
-            mask[outside] = True
-        return mask
+    # -- which nodes carry, and which follow -------------------------------------------------------------------------
 
-    def _light(self, total: ndarray) -> tuple[ndarray, ndarray, ndarray]:
-        """Light nodes, the active nodes around them, and the equal shares these take."""
-        nodes = np.flatnonzero((total > 0) & ~self.active)
+    def _around(self, nodes: ndarray) -> tuple[ndarray, ndarray]:
+        """Pairs of these nodes and those around them, themselves included."""
         shape = np.array(self.grid.vertices.shape)[:, None]
-        around = np.reshape(np.unravel_index(nodes, self.grid.vertices.shape), (len(shape), -1))
+        place = np.reshape(np.unravel_index(nodes, self.grid.vertices.shape), (len(shape), -1))
         pairs = []
         for offset in itertools.product((-1, 0, 1), repeat=self.grid.dim):
-            other = around + np.array(offset)[:, None]
+            other = place + np.array(offset)[:, None]
             inside = ((other >= 0) & (other < shape)).all(axis=0)
-            target = np.ravel_multi_index(tuple(np.clip(other, 0, shape - 1).astype(int)), self.grid.vertices.shape)
-            take = inside & self.active[target]
-            pairs.append(np.stack([nodes[take], target[take]]))
-        source, target = np.concatenate(pairs, axis=1)
-        count = np.bincount(source, minlength=self.grid.nnodes)
-        return source, target, 1 / count[source]
+            pairs.append((nodes[inside], np.ravel_multi_index(tuple(other[:, inside]), self.grid.vertices.shape)))
+        source, target = zip(*pairs)
+        return np.concatenate(source), np.concatenate(target)
 
-    def _collect(self, nodal: ndarray, mirror: bool = True) -> ndarray:
-        """Fold nodal sums ``(k, nnodes)`` onto active nodes, in place."""
-        if mirror:
-            for inside, outside, signs in self.mirrors:
-                nodal[:, inside] += signs * nodal[:, outside]
-                nodal[:, outside] = 0
-        source, target, share = self.light
-        for row in nodal:
-            np.add.at(row, target, share * row[source])
-        nodal[:, source] = 0
+    def _carries(self, total: ndarray) -> ndarray:
+        """Active nodes; one that is light on the whole grid may be heavy where it is, in a body of its own."""
+        active = total > CUTOFF * total.max()
+        doubtful = np.flatnonzero((total > 0) & ~active)
+        source, target = self._around(doubtful)
+        largest = np.zeros(len(total))
+        np.maximum.at(largest, source, total[target])
+        active[doubtful] = total[doubtful] > CUTOFF * largest[doubtful]
+        return active
+
+    def _lighten(self, reads_domains: bool) -> None:
+        """Light nodes, and the equal shares that active nodes around them take."""
+        self.occupied = self.grid.occupied(self.index)
+        read = corner_nodes(wider(self.occupied) if reads_domains else self.occupied)
+        mask = read.ravel() & ~self.active
+        for _, outside, _ in self.mirrors:
+            mask[outside] = False
+        source, target = self._around(np.flatnonzero(mask))
+        source, target = source[self.active[target]], target[self.active[target]]
+        self.light, row, count = np.unique(source, return_inverse=True, return_counts=True)
+        self.share = csr_array((1 / count[row], (row, target)), shape=(len(self.light), self.grid.nnodes))
+
+    def tilted(self, amounts: ndarray) -> ndarray:
+        r"""Nodal sums :math:`\sum_p N_I a_p (x_I - x_p)` of point gradients ``(dim * dim, n)``."""
+        value, dim, shape = self.mapping.value, self.grid.dim, self.grid.vertices.shape
+        width = len(value.data) // len(self.x[0])
+        out = np.zeros((dim, self.grid.nnodes))
+        for j, axis in enumerate(self.grid.axes):
+            place = np.broadcast_to(axis.reshape([-1 if k == j else 1 for k in range(dim)]), shape).ravel()
+            lever = place[value.indices] - np.repeat(self.x[j], width)
+            matrix = csr_array((value.data * lever, value.indices, value.indptr), shape=value.shape)
+            out += np.stack([matrix.T @ amounts[i * dim + j] for i in range(dim)])
+        return out
+
+    # -- sums and velocities -----------------------------------------------------------------------------------------
+
+    def fold(self, nodal: ndarray, signed: bool = True) -> ndarray:
+        """Take nodal sums ``(k, nnodes)`` behind planes to their mirror images, in place."""
+        for inside, outside, signs in self.mirrors:
+            nodal[:, inside] += (signs if signed else 1.0) * nodal[:, outside]
+            nodal[:, outside] = 0
         return nodal
 
-    def to_nodes(self, amount: ndarray) -> ndarray:
-        """Share point vectors ``(dim, n)`` among the active nodes."""
-        return self._collect(np.stack([self.mapping.to_nodes(row) for row in amount]))
+    def collect(self, nodal: ndarray) -> ndarray:
+        """Take nodal sums ``(k, nnodes)`` of light nodes to active ones, in place."""
+        if len(self.light):
+            for row in nodal:
+                row += self.share.T @ row[self.light]
+                row[self.light] = 0
+        return nodal
 
-    def collect(self, force: ndarray) -> ndarray:
-        """Forces on the active nodes, from nodal sums ``(dim, nnodes)``."""
-        return self._collect(force)
+    def gather(self, nodal: ndarray, signed: bool = True) -> ndarray:
+        """Take nodal sums to the active nodes, in place."""
+        return self.collect(self.fold(nodal, signed))
+
+    def spread(self, nodal: ndarray, signed: bool = True) -> ndarray:
+        """Nodal numbers wherever points may read, from those of active nodes, in place; transpose of the sums."""
+        if len(self.light):
+            for row in nodal:
+                row[self.light] = self.share @ row
+        for inside, outside, signs in self.mirrors[::-1]:
+            nodal[:, outside] = (signs if signed else 1.0) * nodal[:, inside]
+        return nodal
 
     def velocity(self, momentum: ndarray) -> ndarray:
         """Momentum over mass with fixed components standing still, everywhere points may read."""
         out = np.divide(momentum, self.mass, out=np.zeros_like(momentum), where=self.active)
         out[self.fixed] = 0
-        source, target, share = self.light
-        for row in out:
-            np.add.at(row, source, share * row[target])
-        for inside, outside, signs in self.mirrors[::-1]:
-            out[:, outside] = signs * out[:, inside]
-        return out
+        return self.spread(out)
 
 
 def mirrors(grid: Grid, plane: Any) -> list[tuple[ndarray, ndarray, ndarray]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -12,70 +11,112 @@ import numpy as np
 from numpy import ndarray
 from skfem import Mesh
 
-from ..checks import UnstableError
-from ..grid import Grid, Stencil
-from ..integration import PointIntegration
+from ..checks import OutsideGridError, UnstableError
+from ..grid import Grid
 from ..kinematics import RATES
-from .bound import highest_frequency
+from .bound import stable_step
+from .dilation import CellMeans
 from .nodes import Nodes
-from .state import Choices, ExplicitState
+from .state import LEDGER, Choices, ExplicitState
+
+RUNAWAY = 10.0     # a body with so many times the energy it was given is unstable
 
 
 class Run:
     """A body in motion; :meth:`advance` takes one time step, :meth:`snapshot` freezes the state."""
 
-    def __init__(self, mesh: Mesh, start: ExplicitState, material: Any, choices: Choices, load: Callable[[float], Any]):
-        self.grid, self.material, self.choices, self.load = Grid.from_mesh(mesh), material, choices, load
-        self.planes = [item for item in start.boundary if hasattr(item, "fixes")]
-        self.last = start
-        self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
-        self.work = {name: start.energy[name] for name in ("plastic", "damped", "external")}
-        particles = start.particles
+    engine = "numpy"
+
+    def __init__(self, mesh: Mesh, start: ExplicitState, material: Any, choices: Choices):
+        self.grid, self.material, self.choices = Grid.from_mesh(mesh), material, choices
+        self.particles = particles = start.particles       # what does not change of them
         self.kinematics, self.dim = particles.kinematics, particles.dim
-        self.x, self.volume, self.mass = particles.x.copy(), particles.volume.copy(), particles.mass
+        self._check(start)
+        self.planes, self.last = start.boundary, start
+        self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
+        self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
+        self.kept = start.kept
         method = choices.method
         reads_domains = any(basis.reads_domains for basis in (method.mass, method.strain, method.force))
-        self.length: Any = particles.length if reads_domains else None
         n, ncomp = particles.n, self.kinematics.ncomp
+        finite = choices.strain == "logarithmic"
+        self.x, self.volume, self.mass = particles.x.copy(), particles.volume.copy(), particles.mass
+        self.length: Any = particles.length if reads_domains else None
         self.velocity = np.zeros((self.dim, n)) if particles.velocity is None else particles.velocity.copy()
         self.sigma = np.zeros((ncomp, n)) if particles.sigma is None else particles.sigma.copy()
-        finite = choices.strain == "logarithmic"
         self.epsilon = particles.epsilon if particles.epsilon is not None or not finite else np.zeros((ncomp, n))
         self.history = np.zeros((len(material.history), n)) if particles.history is None else particles.history.copy()
+        self.slope: Any = None
+        if choices.tpic:
+            self.slope = np.zeros((self.dim ** 2, n)) if start.slope is None else start.slope
         self.symmetric = [self.kinematics.packed_index(place) for place in self.kinematics.rows(self.dim)]
+        if start.step == 0:
+            self.work["start"] = sum(self._stored().values())
+
+    def _check(self, start: ExplicitState) -> None:
+        """Refuse what does not fit together."""
+        particles, grid = start.particles, self.grid
+        if grid.dim != particles.dim:
+            raise ValueError(f"particles: got points in {particles.dim} dimension(s) on a mesh in {grid.dim}; make "
+                             "both of the same dimension.")
+        if not (particles.mass > 0).all():
+            point = int(np.flatnonzero(~(particles.mass > 0))[0])
+            raise ValueError(f"mass: got {particles.mass[point]} at point {point}, expected numbers above zero; give "
+                             "the particles a density.")
+        for plane in start.boundary:
+            if not hasattr(plane, "fixes"):
+                raise TypeError(f"boundary: got a {type(plane).__name__}, expected fixed planes; walls with imposed "
+                                "displacements are for implicit steps.")
+            plane.check(grid, particles.x)
+        grid.locate(particles.x)
 
     # -- one step ----------------------------------------------------------------------------------------------------
 
     def advance(self) -> None:
         """Take one time step."""
         with np.errstate(invalid="ignore", over="ignore"):
-            choices = self.choices
-            nodes = Nodes(self.grid, self.x, self.mass, self.length, choices.method, choices.edges, self.planes)
-            if self.step - self.refreshed >= self.choices.refresh:
-                self._refresh(nodes)
-            momentum = nodes.to_nodes(self.mass * self.velocity)
-            if self.choices.integrator == "usf":
-                self._update_stress(nodes, nodes.velocity(momentum))
-            force = self._force(nodes, nodes.velocity(momentum))
-            before = nodes.velocity(momentum)
-            after = nodes.velocity(momentum + self.dt * force)
-            self._move(nodes, before, after)
-            if self.choices.integrator == "musl":
-                self._update_stress(nodes, nodes.velocity(nodes.to_nodes(self.mass * self.velocity)))
-            elif self.choices.integrator == "usl":
-                self._update_stress(nodes, after)
+            self._advance()
         self.step, self.time = self.step + 1, self.time + self.dt
-        self._guard()
+        self.work["peak"] = max(self.work["peak"], abs(self.work["external"]))
 
-    def _force(self, nodes: Nodes, velocity: ndarray) -> ndarray:
+    def _advance(self) -> None:
+        choices = self.choices
+        nodes = Nodes(self.grid, self.kinematics, self.x, self.mass, self.length, choices.method, choices.edges,
+                      self.planes)
+        if self.step - self.refreshed >= choices.refresh:
+            self._refresh(nodes)
+        means = CellMeans(nodes.grid, nodes.mapping, self.volume) if choices.remedy == "bbar" else None
+        momentum = self._momentum(nodes)
+        before = nodes.velocity(momentum)
+        if choices.integrator == "usf":
+            self._update_stress(nodes, means, before)
+        after = nodes.velocity(momentum + self.dt * self._force(nodes, means, before))
+        moved = self._move(nodes, before, after)
+        if choices.integrator == "musl":
+            self._update_stress(nodes, means, nodes.velocity(self._momentum(nodes)))
+        elif choices.integrator == "usl":
+            self._update_stress(nodes, means, after)
+        self._check_moved(moved)
+        self.x = self.x + moved
+        self._leave()
+
+    def _momentum(self, nodes: Nodes) -> ndarray:
+        """Momentum of the active nodes; with ``tpic`` points hand on their velocity gradient too."""
+        nodal = nodes.mapping.to_nodes(self.mass * self.velocity)
+        if self.slope is not None:
+            nodal += nodes.tilted(self.mass * self.slope)
+        return nodes.gather(nodal)
+
+    def _force(self, nodes: Nodes, means: CellMeans | None, velocity: ndarray) -> ndarray:
         """Nodal force: internal, gravity, damping."""
-        operator = self._operator(nodes, nodes.force)
-        force = -operator.force(self.sigma[self.symmetric])
-        gravity = self.load(self.time + self.dt / 2)
+        stress = self.sigma[self.symmetric]
+        if means:
+            stress = means.smooth(stress)
+        force = -nodes.force.force(self.volume * stress)
+        gravity = self._gravity()
         if gravity is not None:
-            weight = gravity[:, None] * nodes.mapping.to_nodes(self.mass)
-            force += weight
-        force = nodes.collect(force)
+            force += gravity[:, None] * nodes.mapping.to_nodes(self.mass[None])
+        force = nodes.gather(force)
         force[nodes.fixed] = 0
         if self.choices.damping:
             lost = self.choices.damping * np.abs(force) * np.sign(velocity)
@@ -83,25 +124,32 @@ class Run:
             force -= lost
         return force
 
-    def _move(self, nodes: Nodes, before: ndarray, after: ndarray) -> None:
-        """Points move with the grid's velocity and take on its change."""
+    def _gravity(self) -> ndarray | None:
+        return self.choices.load(self.time + self.dt / 2)
+
+    def _move(self, nodes: Nodes, before: ndarray, after: ndarray) -> ndarray:
+        """Points take on the change of the grid's velocity; how far they move with it, ``(dim, n)``."""
         mapping, choices = nodes.mapping, self.choices
         moving = mapping.to_points(after)
         gained = moving - mapping.to_points(before)
-        gravity = self.load(self.time + self.dt / 2)
+        gravity = self._gravity()
         if gravity is not None:
             self.work["external"] += float(gravity @ (moving - gained / 2) @ self.mass * self.dt)
         own = self.velocity
         if choices.xpic:
             unseen = own
             for _ in range(choices.xpic):
-                unseen = unseen - mapping.to_points(nodes.velocity(nodes.to_nodes(self.mass * unseen)))
+                unseen = unseen - mapping.to_points(nodes.velocity(nodes.gather(mapping.to_nodes(self.mass * unseen))))
             own = own - unseen
         self.velocity = choices.flip * (own + gained) + (1 - choices.flip) * moving
-        self.x = self.x + self.dt * moving
+        if self.slope is not None:
+            self.slope = mapping.gradient(after)[:self.dim ** 2]
+        self._check_finite("velocity")
+        return self.dt * moving
 
-    def _update_stress(self, nodes: Nodes, velocity: ndarray) -> None:
-        self._respond(self.dt * self._operator(nodes, nodes.strain).gradient(velocity))
+    def _update_stress(self, nodes: Nodes, means: CellMeans | None, velocity: ndarray) -> None:
+        gradient = self.dt * nodes.strain.gradient(velocity)
+        self._respond(means.smooth(gradient) if means else gradient)
 
     def _respond(self, gradient: ndarray) -> None:
         """Stress, volume and history after the displacement gradient of a step."""
@@ -109,64 +157,119 @@ class Run:
                                             self.history)
         ratio = motion.stretch(gradient)
         if not (ratio > 0).all():
-            point = int(np.flatnonzero(~(ratio > 0))[0])
-            self._stop(f"point {point} at {self.x[:, point]} turned inside out")
+            self._stop("turned inside out", int(np.flatnonzero(~(ratio > 0))[0]))
         response = motion.respond(gradient)
         self.volume = self.volume * ratio
         if self.material.history:
-            self.work["plastic"] += float((self.material.dissipation(self.history, response.history)
-                                           * self.volume).sum())
+            self.work["plastic"] += self._dissipated(response.history)
         self.sigma, self.epsilon, self.history = response.sigma, response.epsilon, response.history
+        self._check_finite("sigma")
 
-    def _operator(self, nodes: Nodes, stencil: Stencil) -> PointIntegration:
-        return PointIntegration(self.kinematics, stencil, stencil, self.volume, self.x[0])
+    def _dissipated(self, history: ndarray) -> float:
+        """Energy that plastic flow takes on the way to a new history; not a number if the law does not say."""
+        if not hasattr(self.material, "dissipation"):
+            return np.nan
+        return float(self.material.dissipation(self.history, history) @ self.volume)
 
-    # -- time step and guards ----------------------------------------------------------------------------------------
+    # -- time step ---------------------------------------------------------------------------------------------------
 
     def _refresh(self, nodes: Nodes) -> None:
         """Find the stable time step of this layout."""
-        known = nodes.active
-        number = np.full((self.dim, nodes.grid.nnodes), -1)
-        number[:, known] = np.arange(self.dim * known.sum()).reshape(-1, self.dim).T
-        operator = PointIntegration(self.kinematics, nodes.force, nodes.strain, self.volume, self.x[0])
         zero = np.zeros_like(self.sigma)
         moduli = self.material.tangent(zero, zero, self.history, self.kinematics.rows(self.dim))
-        stiffness = operator.tangent(moduli, number, self.dim * int(known.sum()))
-        self._take_step(2 / highest_frequency(stiffness, nodes.mass[known], self.dim))
+        if self.material.kirchhoff:           # what is linear in strain is Cauchy stress times the volume ratio
+            moduli = moduli * np.exp(-self.epsilon[:3].sum(axis=0))
+        self._take_step(stable_step(nodes, moduli, self.volume, self.mass, self.remaps,
+                                    self.choices.integrator == "usl"))
+
+    @property
+    def remaps(self) -> bool:
+        """Whether strain comes from velocities that were mapped to the points and back, and are smoother for it."""
+        return self.choices.integrator != "usl" and not self.choices.tpic
 
     def _take_step(self, stable: float) -> None:
         """Choose the time step, knowing the stable one."""
+        self._check_energy()
         self.refreshed = self.step
         if self.choices.dt is None:
             self.dt = self.choices.safety * stable
             return
         if self.choices.dt > stable and self.dt == 0:
             warnings.warn(f"dt: got {self.choices.dt:g}, above the step {stable:g} that is surely stable here; the run "
-                          "may become unstable.", UserWarning, stacklevel=4)
+                          "may become unstable.", UserWarning, stacklevel=2)
         self.dt = self.choices.dt
 
-    def _guard(self) -> None:
-        for name in ("velocity", "sigma"):
-            array = getattr(self, name)
-            if not np.isfinite(array).all():
-                point = int(np.flatnonzero(~np.isfinite(array).all(axis=0))[0])
-                self._stop(f"the {name} of point {point} at {self.x[:, point]} is no longer finite")
+    # -- guards ------------------------------------------------------------------------------------------------------
 
-    def _stop(self, what: str) -> None:
-        raise UnstableError(f"step {self.step}: {what}; the last good state is in .state. A shorter time step (it was "
-                            f"{self.dt:g}) is the likely cure.", self.last)
+    def _check_finite(self, name: str) -> None:
+        """Stop a run in which the velocity or the stress (``sigma``) of a point is no longer finite."""
+        finite = np.isfinite(getattr(self, name))
+        if not finite.all():
+            self._stop(f"has a {name} that is no longer finite", int(np.flatnonzero(~finite.all(axis=0))[0]))
+
+    def _check_moved(self, moved: ndarray) -> None:
+        """Stop a run in which a point moves further than a cell in one step."""
+        far = np.abs(moved) > [[step.min()] for step in self.grid.steps]
+        if far.any():
+            self._stop("moves more than a cell in one step", int(np.flatnonzero(far.any(axis=0))[0]))
+
+    def _check_energy(self) -> None:
+        """Stop a run in which the body has far more energy than it was ever given."""
+        energy = sum(self._stored().values())
+        if energy > RUNAWAY * (self.work["start"] + self.work["peak"]):
+            fastest = int((self.velocity ** 2).sum(axis=0).argmax())
+            self._stop(f"is the fastest of a body with more than {RUNAWAY:g} times the energy it was given", fastest)
+
+    def _leave(self) -> None:
+        """Stop at points that leave the grid, or go on without them."""
+        ghost = self.choices.edges == "ghost" and self.choices.method.mass.reads_domains
+        outside = self.grid.outside(self.x, self.length if ghost else None)
+        if not outside.any():
+            return
+        point = int(np.flatnonzero(outside)[0])
+        if self.choices.leaving == "error" or outside.all():
+            raise OutsideGridError(f"{self._whereabouts(point)} leaves the grid {self.grid.extent}"
+                                   f"{' with its domain' * ghost}; use a larger mesh, or leaving='remove' to go on "
+                                   "without such points.")
+        self._keep(~outside)
+
+    def _keep(self, mask: ndarray) -> None:
+        """Go on with some of the points."""
+        self.kept = (np.arange(len(mask)) if self.kept is None else self.kept)[mask]
+        self.particles = self.particles.where(mask)
+        for name in ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope"):
+            array = getattr(self, name)
+            if array is not None:
+                setattr(self, name, array[..., mask])
+
+    def _number(self, point: int) -> int:
+        """What the user calls a point."""
+        return point
+
+    def _whereabouts(self, point: int) -> str:
+        place = ", ".join(f"{value:g}" for value in self.x[:, point])
+        return f"step {self.step + 1}: point {self._number(point)} at ({place})"
+
+    def _stop(self, what: str, point: int) -> None:
+        raise UnstableError(f"{self._whereabouts(point)} {what}; the last good state is in .state.  A shorter time "
+                            f"step (it was {self.dt:g}) is the likely cure.", self.last)
 
     # -- snapshots ---------------------------------------------------------------------------------------------------
 
+    def _stored(self) -> dict[str, float]:
+        """Energy in motion and in elastic strain; the latter is not a number if the law does not say."""
+        kinetic = float((self.mass * (self.velocity ** 2).sum(axis=0)).sum() / 2)
+        if not hasattr(self.material, "energy_density"):
+            return {"kinetic": kinetic, "elastic": np.nan}
+        density = self.material.energy_density(self.sigma, self.epsilon, self.kinematics.components)
+        return {"kinetic": kinetic, "elastic": float(density @ self.volume)}
+
     def snapshot(self) -> ExplicitState:
         """The state now, frozen."""
-        particles = replace(self.last.particles, x=self.x, volume=self.volume, velocity=self.velocity, sigma=self.sigma,
-                            epsilon=self.epsilon, length=self.length,
+        particles = replace(self.particles, x=self.x, volume=self.volume, velocity=self.velocity, sigma=self.sigma,
+                            epsilon=self.epsilon,
                             history=self.history if self.material.history else None)
-        elastic = self.material.elastic_strain(self.sigma, self.kinematics.components)
-        double = np.array([1.0 if i == j else 2.0 for i, j in self.kinematics.components])
-        energy = {"kinetic": float((self.mass * (self.velocity ** 2).sum(axis=0)).sum() / 2),
-                  "elastic": float((double[:, None] * self.sigma * elastic).sum(axis=0) @ self.volume / 2), **self.work}
-        self.last = ExplicitState(self.step, self.time, self.dt, self.refreshed, particles, self.last.boundary,
-                                  MappingProxyType(energy))
+        energy = MappingProxyType({**self._stored(), **self.work})
+        self.last = ExplicitState(self.step, self.time, self.dt, self.refreshed, particles, self.planes, energy,
+                                  kept=self.kept, slope=self.slope)
         return self.last

@@ -1,0 +1,13 @@
+"""1-D, plane strain, axisymmetric and 3-D motion: which strains there are, how they are stored, what a volume is.
+
+A *gradient row* is one component of the displacement gradient that the kinematics keeps.  Its place is a pair
+``(i, j)`` of the 3 x 3 tensor; ``(2, 2)`` in axial symmetry is the hoop stretch :math:`u_r / r`.  Stress and strain are
+stored packed, ``(ncomp, n)``, shear as the tensor component.
+"""
+
+from .laws import check_law
+from .motion import Kinematics, axisymmetric, plane_strain, solid, uniaxial
+from .strains import RATES, STRAINS, Logarithmic, Objective, Response, Small
+
+__all__ = ["RATES", "STRAINS", "Kinematics", "Logarithmic", "Objective", "Response", "Small", "axisymmetric",
+           "check_law", "plane_strain", "solid", "uniaxial"]
