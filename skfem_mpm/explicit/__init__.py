@@ -133,9 +133,9 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     for name, number in [("flip", flip), ("damping", damping), ("safety", safety)]:
         if not (0 <= number <= 1 and (number > 0 or name != "safety")):
             raise ValueError(f"{name}: got {number}, expected a share from 0 to 1{', above 0' * (name == 'safety')}.")
-    for name, number in [("dt", dt), ("every_seconds", every_seconds)]:
-        if number is not None and not (np.isfinite(number) and number > 0):
-            raise ValueError(f"{name}: got {number}, expected a time span above zero, or None.")
+    for name, span in [("dt", dt), ("every_seconds", every_seconds)]:
+        if span is not None and not (np.isfinite(span) and span > 0):
+            raise ValueError(f"{name}: got {span}, expected a time span above zero, or None.")
     if remedy == "bbar" and edges == "truncate":
         raise ValueError("remedy: got 'bbar' with edges='truncate', where nodes are missing that say how much of a "
                          "domain is in which cell; use edges='ghost' or 'clip'.")

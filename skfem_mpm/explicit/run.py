@@ -44,12 +44,13 @@ class Run:
         self.length: Any = particles.length if reads_domains else None
         self.velocity = np.zeros((self.dim, n)) if particles.velocity is None else particles.velocity.copy()
         self.sigma = np.zeros((ncomp, n)) if particles.sigma is None else particles.sigma.copy()
-        self.epsilon = particles.epsilon if particles.epsilon is not None or not finite else np.zeros((ncomp, n))
+        self.epsilon: Any = particles.epsilon if particles.epsilon is not None or not finite else np.zeros((ncomp, n))
         self.history = np.zeros((len(material.history), n)) if particles.history is None else particles.history.copy()
         self.slope: Any = None
         if choices.tpic:
             self.slope = np.zeros((self.dim ** 2, n)) if start.slope is None else start.slope
         self.symmetric = [self.kinematics.packed_index(place) for place in self.kinematics.rows(self.dim)]
+        self._motion().respond(np.zeros((len(self.symmetric), n)))      # a law that does not fit says so now
         if start.step == 0:
             self.work["start"] = sum(self._stored().values())
 
@@ -151,10 +152,13 @@ class Run:
         gradient = self.dt * nodes.strain.gradient(velocity)
         self._respond(means.smooth(gradient) if means else gradient)
 
+    def _motion(self) -> Any:
+        return RATES[self.choices.strain](self.kinematics, self.dim, self.material, self.sigma, self.epsilon,
+                                          self.history)
+
     def _respond(self, gradient: ndarray) -> None:
         """Stress, volume and history after the displacement gradient of a step."""
-        motion = RATES[self.choices.strain](self.kinematics, self.dim, self.material, self.sigma, self.epsilon,
-                                            self.history)
+        motion = self._motion()
         ratio = motion.stretch(gradient)
         if not (ratio > 0).all():
             self._stop("turned inside out", int(np.flatnonzero(~(ratio > 0))[0]))
