@@ -253,9 +253,6 @@ class VonMises(LinearElastic):
     def update(self, strain: ndarray, stress: ndarray, history: ndarray,
                components: Places) -> tuple[ndarray, ndarray]:
         """Stress and accumulated plastic strain after a strain increment, by radial return."""
-        if len(stress) < 4:
-            raise ValueError(f"stress: got {len(stress)} component(s), expected 4 or 6; von Mises plasticity needs the "
-                             "stress across, so use plane_strain, axisymmetric or solid.")
         after = self.trial(strain, stress, components)
         mean, q = self._mean_and_size(after, components)
         slip = self._slip(q, history[0])
@@ -301,6 +298,9 @@ class VonMises(LinearElastic):
     @staticmethod
     def _mean_and_size(stress: ndarray, components: Places) -> tuple[ndarray, ndarray]:
         """Mean stress, and q, the square root of 3 J_2."""
+        if len(stress) < 4:
+            raise ValueError(f"stress: got {len(stress)} component(s), expected 4 or 6; von Mises plasticity needs the "
+                             "stress across, so use plane_strain, axisymmetric or solid.")
         mean = (stress[0] + stress[1] + stress[2]) / 3
         square: Any = 0.0
         for row, (i, j) in zip(stress, components):

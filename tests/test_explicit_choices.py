@@ -316,3 +316,23 @@ def test_a_body_with_ten_times_the_energy_it_was_given_is_stopped():
     limit = np.sqrt(2) / 3 / 2 / np.sqrt(LAW.lam + 2 * LAW.G)
     with pytest.raises(UnstableError, match=r"^step \d+: point \d+ at .*times the energy it was given.*shorter time"):
         run(mesh, body, steps=4000, every=4000, integrator="usl", dt=1.5 * limit, refresh=5)
+
+
+def test_a_history_of_another_law_is_refused():
+    mesh, body = boxed(2)
+    soil = VonMises(E=100.0, nu=0.3, peak=2.0, residual=0.5, softening=-5.0)
+    for law, rows in ((LAW, 1), (soil, 2)):
+        with pytest.raises(ValueError, match=rf"^history: got {rows} row\(s\), expected"):
+            explicit_steps(mesh, replace(body, history=np.zeros((rows, body.n))), law, steps=1)
+
+
+def test_a_step_that_comes_to_be_above_the_bound_is_told_then_and_once():
+    mesh, body = boxed(1, random=0.0)
+    body = replace(body, velocity=np.full_like(body.x, 0.3))           # it drifts over faces, where the bound collapses
+    with pytest.warns(UserWarning, match="^dt: got .*above the step") as record:
+        states = list(explicit_steps(mesh, body, LAW, steps=40, dt=0.01, integrator="usl"))
+    assert len(record) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        list(explicit_steps(mesh, body, LAW, steps=10, dt=0.01, integrator="usl"))
+        list(explicit_steps(mesh, states[-1], LAW, steps=10, dt=0.01, integrator="usl"))

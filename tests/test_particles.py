@@ -8,10 +8,23 @@ import meshio
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import Basis, Functional, MeshHex, MeshLine, MeshQuad, MeshQuad2, MeshTet, MeshTri, MeshTri2, MeshWedge1
+from skfem import (
+    Basis,
+    ElementQuad1,
+    Functional,
+    MeshHex,
+    MeshLine,
+    MeshQuad,
+    MeshQuad2,
+    MeshTet,
+    MeshTri,
+    MeshTri2,
+    MeshWedge1,
+)
+from skfem.helpers import dot
 from skfem.io.meshio import to_meshio
 
-from skfem_mpm import axisymmetric, plane_strain, solid, uniaxial
+from skfem_mpm import ParticleBasis, axisymmetric, plane_strain, solid, uniaxial
 from skfem_mpm.particles import Particles
 
 RULES = ("quarter", "gauss")
@@ -55,6 +68,14 @@ def measure(kinematics):
 def some(n=4, **changes):
     given = dict(x=np.linspace(1, 2, 2 * n).reshape(2, n), volume=np.ones(n), mass=np.ones(n), kinematics=plane_strain)
     return Particles(**(given | changes))
+
+
+def rich():
+    """Points that hold everything that points can hold."""
+    random = np.random.default_rng(0)
+    return some(length=1 + random.random((2, 4)), sigma=random.normal(size=(4, 4)), epsilon=random.normal(size=(4, 4)),
+                velocity=random.normal(size=(2, 4)), history=random.random((3, 4)),
+                fields={"heat": random.normal(size=(2, 2, 4))})
 
 
 # Filling.
@@ -286,8 +307,7 @@ def test_an_unreadable_file_does_not_end_the_program(tmp_path, name):
 def test_arrays_holds_nothing_but_what_is_there():
     assert list(some().arrays()) == ["x", "volume", "mass"]
     assert some().length is some().sigma is some().epsilon is None and dict(some().fields) == {}
-    rich = some(length=np.ones((2, 4)), sigma=np.ones((4, 4)), epsilon=np.ones((4, 4)), fields={"heat": np.ones(4)})
-    assert list(rich.arrays()) == ["x", "volume", "mass", "length", "sigma", "epsilon", "heat"]
+    assert list(rich().arrays()) == ["x", "volume", "mass", "length", "sigma", "epsilon", "velocity", "history", "heat"]
 
 
 def test_stress_and_strain_are_tensors_and_zero_if_not_held():
@@ -344,9 +364,10 @@ def test_a_read_only_array_is_taken_without_a_copy():
 
 @pytest.mark.parametrize("clone", [copy.copy, copy.deepcopy, lambda p: pickle.loads(pickle.dumps(p))])
 def test_copies_and_pickles_are_frozen_too(clone):
-    particles = some(sigma=np.ones((4, 4)), fields={"heat": np.ones((2, 2, 4))})
+    particles = rich()
     again = clone(particles)
     assert again.kinematics == particles.kinematics
+    assert list(again.arrays()) == list(particles.arrays())
     for name, array in particles.arrays().items():
         assert_array_equal(again.arrays()[name], array)
         assert not again.arrays()[name].flags.writeable
@@ -358,13 +379,23 @@ def test_lists_and_single_precision_become_doubles():
 
 
 def test_where_takes_masks_and_numbers():
-    particles = some(sigma=np.arange(16.0).reshape(4, 4), fields={"heat": np.arange(8.0).reshape(2, 4)})
+    particles = rich()
     for which in ([False, True, False, True], np.array([1, 3]), [1, 3]):
         subset = particles.where(which)
         assert list(subset.arrays()) == list(particles.arrays())
         for name, array in particles.arrays().items():
             assert_array_equal(subset.arrays()[name], array[..., [1, 3]])
     assert_array_equal(particles.where([3, 1]).x, particles.x[:, [3, 1]])
+
+
+def test_forms_see_velocity_and_history():
+    mesh = MeshQuad.init_tensor(np.linspace(0.5, 2.5, 3), np.linspace(0.5, 2.5, 3))
+    points = rich()
+    basis = ParticleBasis(mesh, ElementQuad1(), points)
+    moving = Functional(lambda w: w.mass / w.volume * dot(w.velocity, w.velocity) / 2).assemble(basis)
+    assert_allclose(moving, (points.mass * (points.velocity ** 2).sum(axis=0)).sum() / 2)
+    worn = Functional(lambda w: w.history[1]).assemble(basis)
+    assert_allclose(worn, points.history[1] @ points.volume)
 
 
 @pytest.mark.parametrize("which, error, match", [
@@ -401,6 +432,14 @@ def test_where_says_what_is_wrong(which, error, match):
     (dict(sigma=np.ones((3, 4))), ValueError, r"sigma: got shape \(3, 4\), expected \(4, 4\)"),
     (dict(sigma=np.ones((3, 3, 4))), ValueError, r"sigma: got shape \(3, 3, 4\), expected \(4, 4\)"),
     (dict(epsilon=np.full((4, 4), np.nan)), ValueError, "epsilon: got nan"),
+    (dict(velocity=np.ones((4, 2))), ValueError, r"velocity: got shape \(4, 2\), expected \(2, 4\).*transpose it"),
+    (dict(velocity=np.ones(4)), ValueError, r"velocity: got shape \(4,\), expected \(2, 4\)"),
+    (dict(velocity=np.full((2, 4), np.inf)), ValueError, "velocity: got inf"),
+    (dict(history=np.ones(4)), ValueError, r"history: got shape \(4,\), expected \(k, 4\).* write history\[None, :\]"),
+    (dict(history=np.ones((4, 1))), ValueError, r"history: got shape \(4, 1\), expected \(k, 4\).*transpose it"),
+    (dict(history=np.ones((1, 3))), ValueError, r"history: got shape \(1, 3\), expected \(k, 4\)"),
+    (dict(history=np.full((1, 4), np.nan)), ValueError, "history: got nan"),
+    (dict(history=np.ones((1, 4), dtype=int)), TypeError, "history: got an array of int64"),
     (dict(kinematics="plane"), TypeError, "kinematics: got 'plane'"),
     (dict(fields=[np.ones(4)]), TypeError, "fields: got list, expected a dict"),
     (dict(fields={3: np.ones(4)}), TypeError, "fields: got the name 3, expected a string"),
@@ -417,7 +456,7 @@ def test_particles_say_what_is_wrong(change, error, match):
 
 
 @pytest.mark.parametrize("name", ["x", "h", "n", "idx", "volume", "mass", "length", "stress", "strain", "sigma",
-                                  "epsilon", "kinematics", "fields", "dim", "values", "items"])
+                                  "epsilon", "velocity", "history", "kinematics", "fields", "dim", "values", "items"])
 def test_own_fields_must_not_hide_what_forms_already_know(name):
     with pytest.raises(ValueError, match=f"fields: got the name '{name}', which means something else"):
         some(fields={name: np.ones(4)})

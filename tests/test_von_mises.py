@@ -439,6 +439,7 @@ def test_softening_just_less_steep_than_the_limit_is_followed():
         assert (shear_stress(stress, PLANE) <= cohesion(law, history) * (1 + 1e-9)).all()
 
 
-def test_a_bar_is_refused():
+@pytest.mark.parametrize("call", ["update", "tangent"])
+def test_a_bar_is_refused(call):
     with pytest.raises(ValueError, match="got 1 component.*expected 4 or 6.*plane_strain, axisymmetric or solid"):
-        SOIL.update(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), uniaxial.components)
+        getattr(SOIL, call)(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), uniaxial.components)

@@ -36,6 +36,7 @@ class Run:
         self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
         self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
         self.kept = start.kept
+        self.warned = start.dt == choices.dt               # a run that goes on has been told
         method = choices.method
         reads_domains = any(basis.reads_domains for basis in (method.mass, method.strain, method.force))
         n, ncomp = particles.n, self.kinematics.ncomp
@@ -64,6 +65,11 @@ class Run:
             point = int(np.flatnonzero(~(particles.mass > 0))[0])
             raise ValueError(f"mass: got {particles.mass[point]} at point {point}, expected numbers above zero; give "
                              "the particles a density.")
+        rows, wanted = 0 if particles.history is None else len(particles.history), len(self.material.history)
+        if rows not in (0, wanted):
+            raise ValueError(f"history: got {rows} row(s), expected {wanted} for {type(self.material).__name__} "
+                             f"({', '.join(self.material.history) or 'none'}); give the particles the history of this "
+                             "law, or none.")
         for plane in start.boundary:
             if not hasattr(plane, "fixes"):
                 raise TypeError(f"boundary: got a {type(plane).__name__}, expected fixed planes; walls with imposed "
@@ -198,7 +204,8 @@ class Run:
         if self.choices.dt is None:
             self.dt = self.choices.safety * stable
             return
-        if self.choices.dt > stable and self.dt == 0:
+        if self.choices.dt > stable and not self.warned:
+            self.warned = True
             warnings.warn(f"dt: got {self.choices.dt:g}, above the step {stable:g} that is surely stable here; the run "
                           "may become unstable.", UserWarning, stacklevel=2)
         self.dt = self.choices.dt

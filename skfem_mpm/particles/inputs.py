@@ -39,6 +39,18 @@ def check_positions(x: Any, kinematics: Kinematics) -> ndarray:
     return x
 
 
+def check_history(history: Any, n: int) -> ndarray:
+    """What the law remembers, ``(k, n)``; the law itself checks ``k``."""
+    shape = np.shape(history)
+    if len(shape) != 2 or shape[1] != n:
+        hint = ""
+        if shape[:1] == (n,):
+            hint = "; transpose it" if len(shape) == 2 else "; write history[None, :] for a law that remembers one number"
+        raise ValueError(f"history: got shape {shape}, expected (k, {n}), one row for each name in the law's "
+                         f"history{hint}.")
+    return check_array("history", history, shape)
+
+
 def check_fields(fields: Any, n: int) -> dict[str, ndarray]:
     """The user's own fields ``(..., n)``, read-only, under names that a form can use."""
     if not isinstance(fields, Mapping):

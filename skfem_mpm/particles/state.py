@@ -16,7 +16,7 @@ from ..checks import check_array, check_positive
 from ..kinematics import Kinematics
 from .bodies import mesh_of
 from .fill import points_of_cells
-from .inputs import ARRAYS, check_chosen, check_fields, check_kinematics, check_positions, frozen
+from .inputs import ARRAYS, check_chosen, check_fields, check_history, check_kinematics, check_positions, frozen
 
 if TYPE_CHECKING:
     import meshio
@@ -49,9 +49,9 @@ class Particles:
     epsilon
         Packed elastic logarithmic strain ``(ncomp, n)``; finite strain only.
     velocity
-        ``(dim, n)``; explicit runs only.
+        ``(dim, n)``; explicit runs only, at rest if there is none.
     history
-        What the law remembers, ``(k, n)``; laws with a history only.
+        What the law remembers, ``(k, n)``, a row for each name in ``law.history``; laws with a history only.
     fields
         The user's own fields by name, ``(..., n)``; forms see them as ``w.name``.
 
@@ -96,10 +96,12 @@ class Particles:
         dim, n = held["x"].shape
         ncomp = self.kinematics.ncomp
         shapes = {"volume": (n,), "mass": (n,), "length": (dim, n), "sigma": (ncomp, n), "epsilon": (ncomp, n),
-                  "velocity": (dim, n), "history": (None, n)}
+                  "velocity": (dim, n)}
         for name, shape in shapes.items():
             if (value := getattr(self, name)) is not None or name not in OPTIONAL:
                 held[name] = check_array(name, value, shape)
+        if self.history is not None:
+            held["history"] = check_history(self.history, n)
         for name in ("volume", "mass", "length"):
             for row in np.atleast_2d(held.get(name, 1.0)):
                 check_positive(name, row)
@@ -159,7 +161,7 @@ class Particles:
         return {name: array for name, array in held.items() if array is not None} | dict(self.fields)
 
     def where(self, which: ndarray) -> Particles:
-        """Some of the points, with all that they hold.
+        """Some of the points, with all that they hold: without those that have left the mesh, say.
 
         Parameters
         ----------
