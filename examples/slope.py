@@ -24,7 +24,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.animation import FuncAnimation, PillowWriter
+from PIL import Image
 from tqdm import tqdm
 
 from skfem_mpm import METHODS, OutsideGridError, UnstableError
@@ -43,7 +43,9 @@ parser.add_argument("--quick", action="store_true", help="a coarser grid, four m
 parser.add_argument("--out", type=Path, default=Path("results/slope"), help="where pictures and tables go")
 options = parser.parse_args()
 options.out.mkdir(parents=True, exist_ok=True)
-h, methods, after = (0.1, ["mpm", "gimp", "cmpm", "cmpm-c"], 0.1) if options.quick else (0.05, list(METHODS), AFTER)
+h, methods, after, shot = 0.05, list(METHODS), AFTER, 0.02          # a picture of the film every 0.02 s
+if options.quick:
+    h, methods, after, shot = 0.1, ["mpm", "gimp", "cmpm", "cmpm-c"], 0.1, 0.05
 
 # -- runs -------------------------------------------------------------------------------------------------------------
 
@@ -80,9 +82,9 @@ for loading in EXPECTED:
             try:
                 for state in states(bar, seconds, EXPECTED[loading] + after, every=1):
                     toe = scene.toe_displacement(state)
-                    if not curve or toe >= curve[-1][0] + 5e-4 or toe >= marks[0]:
+                    if not curve or toe >= curve[-1][0] + 1e-3 or toe >= marks[0]:
                         curve.append((toe, scene.roughness(state)))
-                    if filmed and state.time >= 0.02 * len(frames):
+                    if filmed and state.time >= shot * len(frames):
                         frames.append(state)
                     if toe >= marks[0]:
                         rows.append(row(state, seconds))
@@ -91,7 +93,7 @@ for loading in EXPECTED:
                         break
                 fields[loading, method], end = (state.particles, rows[-1]), state.time + after
                 for state in states(bar, seconds, end, start=state, every=5):
-                    if filmed and state.time >= 0.02 * len(frames):
+                    if filmed and state.time >= shot * len(frames):
                         frames.append(state)
                     if state.time >= end:
                         break
@@ -117,7 +119,7 @@ for loading in EXPECTED:
         for axis, (title, value, (low, high), colours) in zip(line, SHOWN):
             points, _ = fields.get((loading, method), (None, None))
             if points is not None:
-                cloud = axis.scatter(*points.x, c=value(points), s=(h / 0.05) ** 2 * 7, marker="s", linewidths=0,
+                cloud = axis.scatter(*points.x, c=value(points), s=(h / 0.05) ** 2 * 12, marker="s", linewidths=0,
                                      vmin=low, vmax=high, cmap=colours)
             axis.set_aspect("equal")
             axis.set_title(f"{method}: {title}" + " (no failure)" * (points is None), fontsize="small")
@@ -128,7 +130,7 @@ for loading in EXPECTED:
     figure.suptitle(f"Fig. 7: the cut when its toe has moved 10 cm, {loading} gravity (x and y in m)")
     figure.savefig(options.out / f"fig7_{loading}.png", dpi=90)
 
-# -- noise, and where the paper's order holds ---------------------------------------------------------------------------
+# -- noise, and where the paper's order holds -------------------------------------------------------------------------
 
 place = np.linspace(0.001, 0.1, 100)            # displacements of the toe at which methods are compared [m]
 
@@ -160,26 +162,28 @@ for axis, loading in zip(axes, EXPECTED):
     axis.set_xlabel("displacement of the toe [cm]")
     axis.set_title(f"{loading} gravity: {words[loading]}", fontsize="medium")
     axis.grid(alpha=0.3)
+axes[0].set_ylim(1e-3, 1e2)
 axes[0].legend(loc="lower right")
 axes[0].set_ylabel("noise of horizontal stress [% of unit weight x height]")
 figure.savefig(options.out / "roughness.png", dpi=100)
 
-# -- the failure, moving ------------------------------------------------------------------------------------------------
+# -- the failure, moving ----------------------------------------------------------------------------------------------
 
-figure, axis = plt.subplots(figsize=(7.5, 2.6), layout="constrained")
-cloud = axis.scatter(*frames[0].particles.x, c=frames[0].particles.history[0], s=(h / 0.05) ** 2 * 3, vmin=0, vmax=1,
-                     cmap="magma_r", edgecolors="grey", linewidths=0.1)
-axis.set(xlim=(0, 4), ylim=(0, 1.1), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+figure, axis = plt.subplots(figsize=(7.5, 2.6), dpi=70, layout="constrained")
+cloud = axis.scatter(*frames[0].particles.x, c=frames[0].particles.history[0], s=(h / 0.05) ** 2 * 6, vmin=0, vmax=1,
+                     linewidths=0)
+axis.set(xlim=(0, 4), ylim=(0, 1.1), aspect="equal", xlabel="x [m]", title=" ")
 figure.colorbar(cloud, ax=axis, label="plastic strain", extend="max")
-
-
-def draw(state):
+figure.canvas.draw()
+figure.set_layout_engine("none")                # once is enough
+pictures = []
+for state in frames:
     cloud.set_offsets(state.particles.x.T)
     cloud.set_array(state.particles.history[0])
     axis.set_title(f"GIMP, gravity ramped over 0.5 s, t = {state.time:.2f} s", fontsize="small")
-
-
-FuncAnimation(figure, draw, frames).save(options.out / "failure.gif", PillowWriter(fps=12), dpi=70)
+    figure.canvas.draw()
+    pictures.append(Image.fromarray(np.array(figure.canvas.buffer_rgba())).convert("P", palette=Image.ADAPTIVE))
+pictures[0].save(options.out / "failure.gif", save_all=True, append_images=pictures[1:], duration=80, loop=0)
 
 # -- the answer -------------------------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from skfem import MeshHex, MeshLine, MeshQuad
 
 from skfem_mpm import (
     METHODS,
+    Hencky,
     LinearElastic,
     OutsideGridError,
     Particles,
@@ -336,3 +337,14 @@ def test_a_step_that_comes_to_be_above_the_bound_is_told_then_and_once():
         warnings.simplefilter("error")
         list(explicit_steps(mesh, body, LAW, steps=10, dt=0.01, integrator="usl"))
         list(explicit_steps(mesh, states[-1], LAW, steps=10, dt=0.01, integrator="usl"))
+
+
+def test_stress_given_without_strain_is_kept_in_logarithmic_strain():
+    mesh, body = boxed(2, random=0.0)
+    sigma = np.repeat([[5.0], [2.0], [1.0], [0.5]], body.n, axis=1)
+    start = replace(body, sigma=sigma)
+    state = run(mesh, start, steps=1, strain="logarithmic", dt=1e-6)[-1]
+    assert_allclose(state.particles.sigma, sigma, atol=0.01)
+    assert_allclose(state.energy["start"], LAW.energy_density(sigma, None, plane_strain.components) @ body.volume)
+    with pytest.raises(ValueError, match="^epsilon: got stress without strain for Hencky"):
+        explicit_steps(mesh, start, Hencky(100.0, 0.3), steps=1, strain="logarithmic")

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skfem_mpm import Hencky, LinearElastic, axisymmetric, plane_strain, solid, uniaxial
+from skfem_mpm import Hencky, LinearElastic, VonMises, axisymmetric, plane_strain, solid, uniaxial
 from skfem_mpm.kinematics import Logarithmic
+from skfem_mpm.materials import numerical_tangent
 
 MOTIONS = [(uniaxial, 1), (plane_strain, 2), (axisymmetric, 1), (axisymmetric, 2), (solid, 3)]
 NOTHING = np.zeros((0, 1))                               # the history of a law that has none
@@ -87,6 +88,21 @@ def test_the_tangent_is_the_derivative_of_the_update(Law, kinematics, dim):
     expected = np.stack([moved[kinematics.packed_index(place)] for place in places])
     tangent = np.broadcast_to(law.tangent(strain, stress, NOTHING, places), (len(places), len(places), 5))
     assert_allclose(np.einsum("qrn,rn->qn", tangent, gradient), expected, atol=1e-14)
+
+
+SOIL = VonMises(E=4.0, nu=0.3, peak=0.5, residual=0.2, softening=-0.5)
+
+
+@every_motion
+@pytest.mark.parametrize("law", [LinearElastic(E=2.0, nu=0.2), Hencky(E=2.0, nu=0.2), SOIL], ids=str)
+def test_the_numerical_tangent_is_the_exact_one(law, kinematics, dim):
+    if kinematics is uniaxial and law is SOIL:
+        return
+    random, places = np.random.default_rng(0), kinematics.rows(dim)
+    strain, stress = (random.normal(size=(kinematics.ncomp, 50)) for _ in range(2))
+    history = np.zeros((len(law.history), 50))
+    exact = np.broadcast_to(law.tangent(strain, stress, history, places), (len(places), len(places), 50))
+    assert_allclose(numerical_tangent(law, strain, stress, history, places), exact, atol=2e-7 * law.E)
 
 
 # Energy

@@ -13,7 +13,7 @@ from skfem import Mesh
 
 from ..checks import OutsideGridError, UnstableError
 from ..grid import Grid
-from ..kinematics import RATES
+from ..kinematics import RATES, check_law
 from .bound import stable_step
 from .dilation import CellMeans
 from .nodes import Nodes
@@ -29,6 +29,7 @@ class Run:
 
     def __init__(self, mesh: Mesh, start: ExplicitState, material: Any, choices: Choices):
         self.grid, self.material, self.choices = Grid.from_mesh(mesh), material, choices
+        check_law(material)
         self.particles = particles = start.particles       # what does not change of them
         self.kinematics, self.dim = particles.kinematics, particles.dim
         self._check(start)
@@ -45,13 +46,16 @@ class Run:
         self.length: Any = particles.length if reads_domains else None
         self.velocity = np.zeros((self.dim, n)) if particles.velocity is None else particles.velocity.copy()
         self.sigma = np.zeros((ncomp, n)) if particles.sigma is None else particles.sigma.copy()
-        self.epsilon: Any = particles.epsilon if particles.epsilon is not None or not finite else np.zeros((ncomp, n))
+        self.epsilon: Any = particles.epsilon if finite else None
         self.history = np.zeros((len(material.history), n)) if particles.history is None else particles.history.copy()
         self.slope: Any = None
         if choices.tpic:
             self.slope = np.zeros((self.dim ** 2, n)) if start.slope is None else start.slope
         self.symmetric = [self.kinematics.packed_index(place) for place in self.kinematics.rows(self.dim)]
-        self._motion().respond(np.zeros((len(self.symmetric), n)))      # a law that does not fit says so now
+        motion = self._motion()
+        motion.respond(np.zeros((len(self.symmetric), n)))              # a law that does not fit says so now
+        if finite:
+            self.epsilon = motion.start.copy()                          # stress given without strain stands for one
         if start.step == 0:
             self.work["start"] = sum(self._stored().values())
 

@@ -10,9 +10,7 @@ import numpy as np
 from numpy import ndarray
 
 from ..grid import Edges, Grid
-from .nodes import mirrors
-
-MARGIN = 2
+from .nodes import MARGIN, mirrors
 
 
 class Window:
@@ -27,16 +25,16 @@ class Window:
     fixed
         ``(nnodes, dim)``; which components stand still.
     inside, outside, signs
-        Pairs of nodes mirrored at planes, and the sign of each column of mass, momentum and force.
+        Pairs of nodes mirrored at planes, and the sign of each column of momentum and force, or of ``all_signs`` with
+        mass before them.
     """
 
     def __init__(self, grid: Grid, low: ndarray, high: ndarray, planes: Sequence[Any], edges: Edges):
         dim = grid.dim
-        self.low, self.high = low, high
         first, shape = low - MARGIN, high - low + 2 + 2 * MARGIN
         stride = np.cumprod(np.concatenate([[1], shape[:0:-1]]))[::-1]
         self.frame = np.stack([first, stride]).astype(np.int64)
-        self.nnodes = int(np.prod(shape))
+        self.shape, self.nnodes = shape, int(np.prod(shape))
         part = grid.window(np.stack([low, high], axis=1), MARGIN)
         clipped = tuple(slice(max(-f, 0), max(-f, 0) + size) for f, size in zip(first, part.vertices.shape))
         number = np.arange(self.nnodes).reshape(shape)[clipped].ravel()
@@ -45,8 +43,10 @@ class Window:
         found = [mirror for plane in planes for mirror in mirrors(part, plane)]
         self.inside = np.concatenate([number[:0]] + [number[i] for i, _, _ in found])
         self.outside = np.concatenate([number[:0]] + [number[o] for _, o, _ in found])
-        self.signs = np.concatenate([np.ones((0, 1 + 2 * dim))] + [
-            np.tile(np.concatenate([[1.0], signs[:, 0], signs[:, 0]]), (len(i), 1)) for i, _, signs in found])
+        self.signs = np.concatenate([np.ones((0, 2 * dim))] + [np.tile(signs[:, 0], (len(i), 2))
+                                                               for i, _, signs in found])
+        self.all_signs = np.concatenate([np.ones((len(self.inside), 1)), self.signs], axis=1)
+        self.no_signs = np.ones((len(self.inside), 1))
         self.mirrored = np.zeros(self.nnodes, dtype=np.uint8)
         self.mirrored[self.outside] = 1
         self._neighbours(stride)

@@ -1,25 +1,43 @@
-r"""Norms of the stiffness blocks of pairs of nodes, and the bound of the highest frequency that they give.
+r"""Norms of the stiffness blocks of pairs of nodes, and the consistent mass: what bounds the highest frequency.
 
 Twin of :mod:`skfem_mpm.explicit.bound` for isotropic elasticity in two and three dimensions.  A block is
 :math:`K_{IJ} = \lambda M + G (M^T + 1 \operatorname{tr} M)` with
-:math:`M = \sum_p V_p \nabla N_I \otimes \nabla N_J`.  Each row of nodes along the first axis is a task of its own, so
-what it sums stays in the cache.
+:math:`M = \sum_p V_p \nabla N_I \otimes \nabla N_J`.  Nodes are handled row by row along the first axis, so what a
+row sums stays in the cache.
+
+Tables ``(nnodes, (2 * reach + 1)**dim)`` have a slot for each node around a node.  Where the table is its own transpose,
+only those of nodes in the row of a node and in the rows after it are filled.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from .options import CHUNKS, OPTIONS
+from .chunks import search
+from .options import CHUNKS, INLINE, OPTIONS, TILE
+
+U = np.uint64
 
 
 @njit(**OPTIONS)
+def rows_of_tiles(limits, knots, sizes, frame, reach, rows):
+    """Rows of nodes that each tile may touch, in the window."""
+    dim = len(sizes)
+    for tile in range(len(limits)):
+        rows[tile, 0] = search(knots, 0, sizes[0, 0], limits[tile, 1 + dim]) - reach - frame[0, 0]
+        rows[tile, 1] = search(knots, 0, sizes[0, 0], limits[tile, 1 + 2 * dim]) + 2 + reach - frame[0, 0]
+
+
+@njit(**INLINE)
 def _norm(block, dim, lam, shear):
-    trace = 0.0
+    trace = total = most = 0.0
+    for i in range(dim * dim):
+        most += abs(block[i])
+    if most == 0:
+        return 0.0
     for i in range(dim):
         trace += block[i * dim + i]
-    total = 0.0
     for i in range(dim):
         for k in range(dim):
             value = lam * block[i * dim + k] + shear * block[k * dim + i]
@@ -29,7 +47,7 @@ def _norm(block, dim, lam, shear):
     return np.sqrt(total)
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _add2(force, factors, strain, others, p, volume, frame, a, reach, same, m, kf, ks):
     span = 2 * reach + 1
     wi, di = volume[p] * factors[p, 0, 0, a], volume[p] * factors[p, 0, 1, a]
@@ -52,7 +70,7 @@ def _add2(force, factors, strain, others, p, volume, frame, a, reach, same, m, k
                 row[3] += ww * db * d2
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _add3(force, factors, strain, others, p, volume, frame, a, reach, same, m, kf, ks):
     span = 2 * reach + 1
     wi, di = volume[p] * factors[p, 0, 0, a], volume[p] * factors[p, 0, 1, a]
@@ -91,77 +109,110 @@ def _add3(force, factors, strain, others, p, volume, frame, a, reach, same, m, k
 
 
 @njit(**OPTIONS)
-def _finish(m, r, size, dim, lam, shear, out):
-    for j in range(size):
-        for slot in range(m.shape[1]):
-            block = m[j, slot]
-            if block[0] != 0 or block[dim * dim - 1] != 0:
-                out[r * size + j, slot] = _norm(block, dim, lam, shear)
+def norms2(force, factors, strain, others, volume, lam, shear, frame, rows, reach, same, out, kf, ks, c0, c1):
+    """Norms of the blocks; force and strain may have the ``same`` stencil."""
+    n, size = len(volume), frame[1, 0]
+    count = len(out) // size
+    m = np.empty((size, out.shape[1], 4))
+    for r in range(count * c0 // CHUNKS, count * c1 // CHUNKS):
+        m[:] = 0.0
+        for tile in range(len(rows)):
+            if rows[tile, 0] <= r < rows[tile, 1]:
+                for p in range(tile * TILE, min((tile + 1) * TILE, n)):
+                    a = r - (force[p, 0] - frame[0, 0])
+                    if 0 <= a < len(kf):
+                        _add2(force, factors, strain, others, p, volume, frame, a, reach, same, m, kf, ks)
+        for j in range(size):
+            for slot in range(out.shape[1]):
+                out[r * size + j, slot] = _norm(m[j, slot], 2, lam, shear)
 
 
 @njit(**OPTIONS)
-def _row2(force, factors, strain, others, volume, lam, shear, frame, bands, reach, same, out, kf, ks, r):
+def norms3(force, factors, strain, others, volume, lam, shear, frame, rows, reach, same, out, kf, ks, c0, c1):
+    """Norms of the blocks in three dimensions; force and strain may have the ``same`` stencil."""
     n, size = len(volume), frame[1, 0]
-    m = np.zeros((size, out.shape[1], 4))
-    for c in range(CHUNKS):
-        if bands[c, 0] <= r * size < bands[c, 1]:
-            for p in range(n * c // CHUNKS, n * (c + 1) // CHUNKS):
-                a = r - (force[p, 0] - frame[0, 0])
-                if 0 <= a < len(kf):
-                    _add2(force, factors, strain, others, p, volume, frame, a, reach, same, m, kf, ks)
-    _finish(m, r, size, 2, lam, shear, out)
+    count = len(out) // size
+    m = np.empty((size, out.shape[1], 9))
+    for r in range(count * c0 // CHUNKS, count * c1 // CHUNKS):
+        m[:] = 0.0
+        for tile in range(len(rows)):
+            if rows[tile, 0] <= r < rows[tile, 1]:
+                for p in range(tile * TILE, min((tile + 1) * TILE, n)):
+                    a = r - (force[p, 0] - frame[0, 0])
+                    if 0 <= a < len(kf):
+                        _add3(force, factors, strain, others, p, volume, frame, a, reach, same, m, kf, ks)
+        for j in range(size):
+            for slot in range(out.shape[1]):
+                out[r * size + j, slot] = _norm(m[j, slot], 3, lam, shear)
+
+
+@njit(**INLINE)
+def _pairs2(base, w, mass, p, frame, a, reach, out, row, kt):
+    span, j = 2 * reach + 1, row + base[p, 1] - frame[0, 1]
+    for a2 in range(a, len(kt)):
+        both = mass * w[p, 0, 0, a] * w[p, 0, 0, a2]
+        for b in range(len(kt)):
+            part, slot = both * w[p, 1, 0, b], (a2 - a + reach) * span + reach - b
+            for b2 in range(len(kt)):
+                out[j + b, slot + b2] += part * w[p, 1, 0, b2]
+
+
+@njit(**INLINE)
+def _pairs3(base, w, mass, p, frame, a, reach, out, row, kt):
+    span, j = 2 * reach + 1, row + (base[p, 1] - frame[0, 1]) * frame[1, 1] + base[p, 2] - frame[0, 2]
+    for a2 in range(a, len(kt)):
+        both = mass * w[p, 0, 0, a] * w[p, 0, 0, a2]
+        for b in range(len(kt)):
+            for b2 in range(len(kt)):
+                most = both * w[p, 1, 0, b] * w[p, 1, 0, b2]
+                node, slot = j + b * frame[1, 1], ((a2 - a + reach) * span + b2 - b + reach) * span + reach
+                for c in range(len(kt)):
+                    for e in range(len(kt)):
+                        out[node + c, slot + e - c] += most * w[p, 2, 0, c] * w[p, 2, 0, e]
 
 
 @njit(**OPTIONS)
-def _row3(force, factors, strain, others, volume, lam, shear, frame, bands, reach, same, out, kf, ks, r):
-    n, size = len(volume), frame[1, 0]
-    m = np.zeros((size, out.shape[1], 9))
-    for c in range(CHUNKS):
-        if bands[c, 0] <= r * size < bands[c, 1]:
-            for p in range(n * c // CHUNKS, n * (c + 1) // CHUNKS):
-                a = r - (force[p, 0] - frame[0, 0])
-                if 0 <= a < len(kf):
-                    _add3(force, factors, strain, others, p, volume, frame, a, reach, same, m, kf, ks)
-    _finish(m, r, size, 3, lam, shear, out)
+def masses2(base, w, m, frame, rows, reach, out, kt, c0, c1):
+    """Consistent mass, its own transpose."""
+    n, size = len(m), frame[1, 0]
+    count = len(out) // size
+    for r in range(count * c0 // CHUNKS, count * c1 // CHUNKS):
+        for tile in range(len(rows)):
+            if rows[tile, 0] <= r < rows[tile, 1]:
+                for p in range(tile * TILE, min((tile + 1) * TILE, n)):
+                    a = r - (base[p, 0] - frame[0, 0])
+                    if 0 <= a < len(kt):
+                        _pairs2(base, w, m[p], p, frame, a, reach, out, r * size, kt)
 
 
-@njit(parallel=True, **OPTIONS)
-def norms2(force, factors, strain, others, volume, lam, shear, frame, bands, reach, same, out, kf, ks):
-    """Norms of the blocks, ``(nnodes, (2 * reach + 1)**dim)``.
+@njit(**OPTIONS)
+def masses3(base, w, m, frame, rows, reach, out, kt, c0, c1):
+    """Consistent mass in three dimensions, its own transpose."""
+    n, size = len(m), frame[1, 0]
+    count = len(out) // size
+    for r in range(count * c0 // CHUNKS, count * c1 // CHUNKS):
+        for tile in range(len(rows)):
+            if rows[tile, 0] <= r < rows[tile, 1]:
+                for p in range(tile * TILE, min((tile + 1) * TILE, n)):
+                    a = r - (base[p, 0] - frame[0, 0])
+                    if 0 <= a < len(kt):
+                        _pairs3(base, w, m[p], p, frame, a, reach, out, r * size, kt)
 
-    If force and strain have the ``same`` stencil, only those of nodes in the row of a node and in the rows after it.
+
+@njit(**OPTIONS)
+def multiply(table, steps, own, z, y, pad):
+    """Add the product of a table with ``z`` to ``y``, both with ``pad`` entries more at either end.
+
+    If the table is its own transpose, ``own`` is the number of its slots in the row of a node: those before are empty,
+    those after count twice.  It is zero for other tables.
     """
-    for r in prange(len(out) // frame[1, 0]):
-        _row2(force, factors, strain, others, volume, lam, shear, frame, bands, reach, same, out, kf, ks, r)
-
-
-@njit(parallel=True, **OPTIONS)
-def norms3(force, factors, strain, others, volume, lam, shear, frame, bands, reach, same, out, kf, ks):
-    """The same in three dimensions."""
-    for r in prange(len(out) // frame[1, 0]):
-        _row3(force, factors, strain, others, volume, lam, shear, frame, bands, reach, same, out, kf, ks, r)
-
-
-@njit(**OPTIONS)
-def _multiply(norms, steps, same, middle, active, scale, z, pad, y, n0, n1):
-    """One row per active node; blocks below the own row are transposes of those above if ``same``."""
-    for i in range(n0, n1):
-        if not active[i]:
-            continue
-        total = 0.0
-        for slot in range(len(steps)):
-            other = i + steps[slot]
-            if slot < middle and same:
-                if 0 <= other < len(norms):
-                    total += norms[other, len(steps) - 1 - slot] * z[other + pad]
-            else:
-                total += norms[i, slot] * z[other + pad]
-        y[i] = scale[i] * total
-
-
-@njit(parallel=True, **OPTIONS)
-def multiply(norms, steps, same, middle, active, scale, z, pad, y):
-    """Product of the scaled norms with ``z``, which has ``pad`` entries more at either end."""
-    n = len(norms)
-    for c in prange(CHUNKS):
-        _multiply(norms, steps, same, middle, active, scale, z, pad, y, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+    span = len(steps)
+    middle, late = (span - own) // 2 if own else 0, (span + own) // 2
+    for q in range(len(table)):
+        here, total = z[q + pad], 0.0
+        for slot in range(middle, span):
+            total += table[U(q), U(slot)] * z[U(q + pad + steps[U(slot)])]
+        y[q + pad] += total
+        if own and here != 0:
+            for slot in range(late, span):
+                y[U(q + pad + steps[U(slot)])] += table[U(q), U(slot)] * here

@@ -1,52 +1,80 @@
-"""Moving points and updating their stress in one go, two dimensions: gradients stay in the cache."""
+"""Stress of all points in two dimensions: gradient and law tile by tile, so gradients stay in the cache.
+
+``moved_`` kernels move points with the grid too, for where one stencil serves both; ``mapped_`` ones only take the
+gradient of nodal velocities; ``given_`` ones are given it.  ``limits`` and ``bad`` hold a row for each tile.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from .options import CHUNKS, OPTIONS, TILE
-from .stress import _elastic, _total, _turn2, _von_mises
-from .transfer2 import _g2p
-
-
-@njit(**OPTIONS)
-def _elastic_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, lam, twice, rows,
-                   t0, t1):
-    grad = np.empty((5, TILE))
-    for tile in range(t0, t1):
-        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(m))
-        _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, p0, limits[tile], kt, p0, p1)
-        bad[tile, 0] = _turn2(sigma, grad, p0, volume, hoop, p0, p1)
-        bad[tile, 1] = _elastic(grad, p0, sigma, lam, twice, rows, p0, p1)
-
-
-@njit(parallel=True, **OPTIONS)
-def elastic(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, lam, twice, rows):
-    """Move points, then linear elasticity; ``limits`` and ``bad`` hold a row for each tile."""
-    n = len(bad)
-    for c in prange(CHUNKS):
-        _elastic_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, lam, twice,
-                       rows, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+from .chunks import cut
+from .options import OPTIONS, TILE
+from .stress import elastic2, total, turn2, von_mises
+from .transfer2 import move, slopes
 
 
 @njit(**OPTIONS)
-def _von_mises_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, eps_p, constants,
-                     work, rows, t0, t1):
-    grad = np.empty((5, TILE))
-    for tile in range(t0, t1):
-        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(m))
-        _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, p0, limits[tile], kt, p0, p1)
-        bad[tile, 0] = _turn2(sigma, grad, p0, volume, hoop, p0, p1)
-        bad[tile, 1] = _von_mises(grad, p0, sigma, eps_p, volume, constants, rows, p0, p1)
-        work[tile] = _total(grad, p1 - p0)
+def moved_elastic(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, sigma, volume, hoop, lam, twice, bad,
+                  c0, c1):
+    """Move points, then linear elasticity."""
+    n, grad = len(m), np.empty((5, TILE))
+    for t in range(cut(n, c0), cut(n, c1), TILE):
+        tile, end = t // TILE, min(t + TILE, n)
+        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, t, limits[tile], kt, t, end)
+        elastic2(sigma, grad, t, volume, hoop, bad[tile], lam, twice, t, end)
 
 
-@njit(parallel=True, **OPTIONS)
-def von_mises(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, eps_p, constants, work,
-              rows):
-    """Move points, then von Mises plasticity."""
-    n = len(bad)
-    for c in prange(CHUNKS):
-        _von_mises_chunk(base, w, nodal, frame, m, x, v, flip, dt, hoop, limits, bad, kt, sigma, volume, eps_p,
-                         constants, work, rows, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+@njit(**OPTIONS)
+def mapped_elastic(base, w, nodal, frame, x, dt, kt, sigma, volume, hoop, lam, twice, bad, c0, c1):
+    """Linear elasticity with the gradient of nodal velocities."""
+    n, grad = len(volume), np.empty((5, TILE))
+    for t in range(cut(n, c0), cut(n, c1), TILE):
+        end = min(t + TILE, n)
+        slopes(base, w, nodal, frame, x, dt, hoop, grad, t, kt, t, end)
+        elastic2(sigma, grad, t, volume, hoop, bad[t // TILE], lam, twice, t, end)
+
+
+@njit(**OPTIONS)
+def given_elastic(grad, sigma, volume, hoop, lam, twice, bad, c0, c1):
+    """Linear elasticity with given displacement gradients."""
+    n = len(volume)
+    for t in range(cut(n, c0), cut(n, c1), TILE):
+        elastic2(sigma, grad, 0, volume, hoop, bad[t // TILE], lam, twice, t, min(t + TILE, n))
+
+
+@njit(**OPTIONS)
+def moved_von_mises(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, sigma, volume, hoop, eps_p, constants,
+                    work, rows, bad, c0, c1):
+    """Move points, then von Mises plasticity; ``work (tiles,)`` takes the energy that plastic flow takes."""
+    n, grad = len(m), np.empty((5, TILE))
+    for t in range(cut(n, c0), cut(n, c1), TILE):
+        tile, end = t // TILE, min(t + TILE, n)
+        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, t, limits[tile], kt, t, end)
+        turn2(sigma, grad, t, volume, hoop, bad[tile], t, end)
+        von_mises(grad, t, sigma, eps_p, volume, constants, bad[tile], rows, t, end)
+        work[tile] = total(grad[0], 0, end - t)
+
+
+@njit(**OPTIONS)
+def mapped_von_mises(base, w, nodal, frame, x, dt, kt, sigma, volume, hoop, eps_p, constants, work, rows, bad, c0, c1):
+    """Von Mises plasticity with the gradient of nodal velocities."""
+    n, grad = len(volume), np.empty((5, TILE))
+    for t in range(cut(n, c0), cut(n, c1), TILE):
+        tile, end = t // TILE, min(t + TILE, n)
+        slopes(base, w, nodal, frame, x, dt, hoop, grad, t, kt, t, end)
+        turn2(sigma, grad, t, volume, hoop, bad[tile], t, end)
+        von_mises(grad, t, sigma, eps_p, volume, constants, bad[tile], rows, t, end)
+        work[tile] = total(grad[0], 0, end - t)
+
+
+@njit(**OPTIONS)
+def given_von_mises(grad, sigma, volume, hoop, eps_p, constants, work, rows, bad, c0, c1):
+    """Von Mises plasticity with given displacement gradients, which it uses up."""
+    n = len(volume)
+    for t in range(cut(n, c0), cut(n, c1), TILE):
+        tile, end = t // TILE, min(t + TILE, n)
+        turn2(sigma, grad, 0, volume, hoop, bad[tile], t, end)
+        von_mises(grad, 0, sigma, eps_p, volume, constants, bad[tile], rows, t, end)
+        work[tile] = total(grad[0], t, end)

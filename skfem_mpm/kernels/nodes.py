@@ -1,40 +1,19 @@
-"""What happens at the nodes of an explicit step: sums, mirrors, light nodes, velocities, available sides."""
+"""What happens at the nodes of an explicit step: mirrors, light nodes, velocities, available sides.
+
+Window arrays are small against those of points, so one thread does all of it.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from .options import CHUNKS, OPTIONS
+from .options import INLINE, OPTIONS
 
 U = np.uint64
 
 
-@njit(**OPTIONS)
-def _sum_bands(copies, bands, g, gravity, n0, n1):
-    flat, columns = g.ravel(), g.shape[1]
-    for i in range(n0 * columns, n1 * columns):
-        flat[U(i)] = 0.0
-    for c in range(CHUNKS):
-        low, high = bands[c, 0], bands[c, 1]
-        low, high = n0 if low < n0 else low, n1 if high > n1 else high
-        copy = copies[c].ravel()
-        for i in range(low * columns, high * columns):
-            flat[U(i)] += copy[U(i)]
-    for k in range(len(gravity)):
-        for i in range(n0, n1):
-            g[i, 1 + len(gravity) + k] += gravity[k] * g[i, 0]
-
-
-@njit(parallel=True, **OPTIONS)
-def sum_bands(copies, bands, g, gravity):
-    """Sum the chunks' grids in a fixed order; adds the weight to the force, unless ``gravity`` is empty."""
-    n = len(g)
-    for c in prange(CHUNKS):
-        _sum_bands(copies, bands, g, gravity, n * c // CHUNKS, n * (c + 1) // CHUNKS)
-
-
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _fold(g, inside, outside, signs):
     for k in range(len(inside)):
         for j in range(g.shape[1]):
@@ -42,22 +21,42 @@ def _fold(g, inside, outside, signs):
             g[outside[k], j] = 0.0
 
 
+@njit(**INLINE)
+def _held(occupied, corners, i):
+    """Whether a node belongs to an occupied cell."""
+    for corner in corners:
+        if i >= corner and occupied[i - corner]:
+            return True
+    return False
+
+
 @njit(**OPTIONS)
-def _classify(g, cutoff, active, lights):
-    largest = 0.0
+def classify(g, cutoff, offsets, occupied, corners, mirrored, active, lights):
+    """Active nodes by their folded mass, and the light ones: nodes that points may read and that are not active.
+
+    A node is active if it has more mass than the share ``cutoff`` of the largest one, on the grid or around it.  Those
+    without mass are light if they belong to an ``occupied`` cell; no need to look if there is no such mask.
+    """
+    largest, count = 0.0, 0
     for i in range(len(g)):
-        largest = max(largest, g[i, 0])
-    least, count = cutoff * largest, 0
+        largest = max(largest, g[U(i), 0])
+    least = cutoff * largest
     for i in range(len(g)):
-        mass = g[i, 0]
-        active[i] = mass > least
-        if mass > 0 and mass <= least:
-            lights[count] = i
-            count += 1
+        mass = g[U(i), 0]
+        active[U(i)] = mass > least
+        if not mass > least:
+            if mass > 0:
+                near = 0.0
+                for offset in offsets:
+                    near = max(near, g[i + offset, 0])
+                active[i] = mass > cutoff * near
+            if not active[i] and (mass > 0 or (len(occupied) and _held(occupied, corners, i) and not mirrored[i])):
+                lights[count] = i
+                count += 1
     return count
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def _collect(g, active, lights, count, offsets):
     for k in range(count):
         node, around = lights[k], 0
@@ -74,25 +73,57 @@ def _collect(g, active, lights, count, offsets):
 
 
 @njit(**OPTIONS)
-def gather_first(g, cutoff, inside, outside, signs, offsets, active, lights):
-    """Fold what is behind planes, tell active and light nodes by mass, and hand on what light ones have."""
+def fold(g, gravity, inside, outside, signs):
+    """Add the weight of mass, column 0, to the last columns, then take what is behind planes to its mirror images."""
+    first = g.shape[1] - len(gravity)
+    for k in range(len(gravity)):
+        for i in range(len(g)):
+            g[i, first + k] += gravity[k] * g[i, 0]
     _fold(g, inside, outside, signs)
-    count = _classify(g, cutoff, active, lights)
+
+
+@njit(**OPTIONS)
+def collect(g, active, lights, count, offsets):
+    """Take what light nodes have to the active nodes around them."""
     _collect(g, active, lights, count, offsets)
-    return count
 
 
 @njit(**OPTIONS)
 def gather(g, inside, outside, signs, offsets, active, lights, count):
-    """The same for further sums of the step."""
+    """Both, for further sums of the step."""
     _fold(g, inside, outside, signs)
     _collect(g, active, lights, count, offsets)
 
 
+@njit(**INLINE)
+def _spread(nodal, inside, outside, signs, offsets, active, lights, count):
+    for k in range(count):
+        node, around = lights[k], 0
+        for offset in offsets:
+            around += active[node + offset]
+        for j in range(nodal.shape[1]):
+            nodal[node, j] = 0.0
+        for offset in offsets:
+            if active[node + offset]:
+                for j in range(nodal.shape[1]):
+                    nodal[node, j] += nodal[node + offset, j] / around
+    for k in range(len(inside) - 1, -1, -1):
+        for j in range(nodal.shape[1]):
+            nodal[outside[k], j] = signs[k, j] * nodal[inside[k], j]
+
+
 @njit(**OPTIONS)
-def _velocities(g, force, column, fixed, active, dt, damping, nodal, dims, n0, n1):
+def spread(nodal, inside, outside, signs, offsets, active, lights, count):
+    """Numbers of light nodes, and of those behind planes."""
+    _spread(nodal, inside, outside, signs, offsets, active, lights, count)
+
+
+@njit(**OPTIONS)
+def velocities(g, force, column, fixed, active, dt, damping, nodal, dims, inside, outside, signs, offsets, lights,
+               count):
+    """Velocity after the step and its change from mass, momentum and force; returns the work that damping takes."""
     work, dim = 0.0, len(dims)
-    for q in range(n0, n1):
+    for q in range(len(g)):
         i = U(q)
         if not active[i]:
             for j in range(2 * len(dims)):
@@ -110,78 +141,44 @@ def _velocities(g, force, column, fixed, active, dt, damping, nodal, dims, n0, n
             change = dt * push * inverse
             nodal[i, k] = before + change
             nodal[i, dim + k] = change
+    _spread(nodal, inside, outside, signs, offsets, active, lights, count)
     return work
 
 
-@njit(parallel=True, **OPTIONS)
-def velocities(g, force, column, fixed, active, dt, damping, nodal, work, dims):
-    """Velocity after the step and its change from mass, momentum and force; ``work`` takes what damping takes."""
-    n = len(g)
-    for c in prange(CHUNKS):
-        work[c] = _velocities(g, force, column, fixed, active, dt, damping, nodal, dims, n * c // CHUNKS,
-                              n * (c + 1) // CHUNKS)
-
-
 @njit(**OPTIONS)
-def plain_velocities(g, fixed, active, nodal):
-    """Velocity from mass and momentum, its change zero."""
-    dim = fixed.shape[1]
-    for i in range(len(g)):
+def plain_velocities(g, momentum, column, fixed, active, nodal, dims, inside, outside, signs, offsets, lights, count):
+    """Velocity from mass and momentum of active nodes."""
+    for q in range(len(g)):
+        i = U(q)
         inverse = 1 / g[i, 0] if active[i] else 0.0
-        for k in range(dim):
-            nodal[i, k] = (1 - fixed[i, k]) * g[i, 1 + k] * inverse
-            nodal[i, dim + k] = 0.0
+        for k in range(len(dims)):
+            nodal[i, k] = (1 - fixed[i, k]) * momentum[i, column + k] * inverse
+    _spread(nodal, inside, outside, signs, offsets, active, lights, count)
 
 
 @njit(**OPTIONS)
-def spread(nodal, inside, outside, signs, offsets, active, lights, count):
-    """Velocities of light nodes, and of those behind planes."""
-    for k in range(count):
-        node, around = lights[k], 0
-        for offset in offsets:
-            around += active[node + offset]
-        for offset in offsets:
-            if active[node + offset]:
-                for j in range(nodal.shape[1]):
-                    nodal[node, j] += nodal[node + offset, j] / around
-    for k in range(len(inside) - 1, -1, -1):
-        for j in range(nodal.shape[1]):
-            nodal[outside[k], j] = signs[k, 1 + j] * nodal[inside[k], j]
-
-
-@njit(**OPTIONS)
-def _usable(occupied, active, corners, n0, n1, usable):
-    for i in range(n0, n1):
-        usable[i] = occupied[i]
-        if occupied[i]:
-            for corner in corners:
-                usable[i] &= active[i + corner]
-
-
-@njit(**OPTIONS)
-def _sides(occupied, usable, faces, diagonals, n0, n1, sides):
-    for i in range(n0, n1):
-        if not occupied[i]:
-            continue
-        first, dropped = 0, 0
-        for k in range(len(faces)):
-            first |= usable[i + faces[k]] << k
-        for k in range(len(diagonals)):
-            step, involved = diagonals[k]
-            if first & involved == involved and not usable[i + step]:
-                dropped |= involved
-        sides[i] = first & ~dropped
-
-
-@njit(parallel=True, **OPTIONS)
-def available_sides(occupied, active, corners, faces, diagonals, usable, sides):
+def available_sides(occupied, active, corners, faces, diagonals, usable, dropped, sides):
     """Twin of :func:`skfem_mpm.grid.available_sides`, for occupied cells.
 
     Cells are numbered by their first node; bit ``2 k`` of a cell in ``sides`` is its left neighbour along axis ``k``,
-    the next bit the right one.
+    the next bit the right one.  Cells near the ends of the window are empty.  Loops run over cells inside, branch-free
+    on bytes, so many cells go at once.
     """
-    n = len(occupied)
-    for c in prange(CHUNKS):
-        _usable(occupied, active, corners, n * c // CHUNKS, n * (c + 1) // CHUNKS, usable)
-    for c in prange(CHUNKS):
-        _sides(occupied, usable, faces, diagonals, n * c // CHUNKS, n * (c + 1) // CHUNKS, sides)
+    reach = corners[-1]
+    n0, n1 = reach, len(occupied) - reach
+    usable[:], dropped[:], sides[:] = occupied, 0, 0
+    for k in range(len(corners)):
+        step = corners[k]
+        for i in range(n0, n1):
+            usable[i] &= active[i + step]
+    for k in range(len(faces)):
+        step, bit = faces[k], np.uint8(k)
+        for i in range(n0, n1):
+            sides[i] |= usable[i + step] << bit
+    for k in range(len(diagonals)):
+        step, involved = diagonals[k, 0], np.uint8(diagonals[k, 1])
+        for i in range(n0, n1):
+            missing = np.uint8((sides[i] & involved) == involved) & (usable[i + step] ^ np.uint8(1))
+            dropped[i] |= involved * missing
+    for i in range(n0, n1):
+        sides[i] &= ~dropped[i]

@@ -1,59 +1,42 @@
 """Stress at the points: turning it with the spin of the step, then the law, branch-free over component rows.
 
-``grad`` comes in with the rows of the displacement gradient and is used up: turning leaves the packed strain increment
-in it; ``first`` is the point in its first column.  Each law counts the points whose stress is not finite.
+``grad`` comes in with the rows of the displacement gradient, the point ``first`` in its first column.  Each function
+handles one tile and writes to ``bad`` how many points turned inside out and how many have a stress that is not finite.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from .options import INLINE, OPTIONS, TILE
+from .chunks import finite
+from .options import INLINE, SUMS
 
 U = np.uint64
 
 
-@njit(**OPTIONS)
-def _turn1(sigma, grad, first, volume, hoop, p0, p1):
-    bad = 0
-    for q in range(p0, p1):
-        p, g = U(q), U(q - first)
-        ratio = 1 + grad[0, g]
-        if hoop:
-            ring = 1 + grad[1, g]
-            ratio = ratio * ring if ring > 0 else -abs(ratio * ring)
-            grad[2, g], grad[1, g], grad[3, g] = grad[1, g], 0.0, 0.0
-        volume[p] *= ratio
-        bad += not ratio > 0
-    return bad
+@njit(**INLINE)
+def _check(sigma, p0, p1):
+    total = 0.0
+    for i in range(len(sigma)):
+        total += finite(sigma[i], p0, p1)
+    return total != 0
 
 
-@njit(**OPTIONS)
-def _turn2(sigma, grad, first, volume, hoop, p0, p1):
-    bad = 0
-    for q in range(p0, p1):
-        p, g = U(q), U(q - first)
-        xx, xy, yx, yy = grad[0, g], grad[1, g], grad[2, g], grad[3, g]
-        a = (xy - yx) / 4
-        scale = 1 / (1 + a * a)
-        c, s = (1 - a * a) * scale, 2 * a * scale
-        sxx, syy, sxy = sigma[0, p], sigma[1, p], sigma[3, p]
-        cc, ss, cs = c * c, s * s, c * s
-        sigma[0, p] = cc * sxx + 2 * cs * sxy + ss * syy
-        sigma[1, p] = ss * sxx - 2 * cs * sxy + cc * syy
-        sigma[3, p] = cs * (syy - sxx) + (cc - ss) * sxy
-        ratio = (1 + xx) * (1 + yy) - xy * yx
-        grad[1, g], grad[3, g] = yy, (xy + yx) / 2
-        if hoop:
-            ring = 1 + grad[4, g]
-            ratio = ratio * ring if ring > 0 else -abs(ratio * ring)
-            grad[2, g] = grad[4, g]
-        else:
-            grad[2, g] = 0.0
-        volume[p] *= ratio
-        bad += not ratio > 0
-    return bad
+@njit(**INLINE)
+def _with_hoop(ratio, hoop_stretch):
+    """Volume ratio; negative for any inverted stretch, even an inverted pair."""
+    return ratio * hoop_stretch if hoop_stretch > 0 else -abs(ratio * hoop_stretch)
+
+
+@njit(**INLINE)
+def _spin2(xx, xy, yx, yy, sxx, syy, sxy):
+    """Stress turned by the step, by Hughes and Winget."""
+    a = (xy - yx) / 4
+    scale = 1 / (1 + a * a)
+    c, s = (1 - a * a) * scale, 2 * a * scale
+    cc, ss, cs = c * c, s * s, c * s
+    return cc * sxx + 2 * cs * sxy + ss * syy, ss * sxx - 2 * cs * sxy + cc * syy, cs * (syy - sxx) + (cc - ss) * sxy
 
 
 @njit(**INLINE)
@@ -65,63 +48,143 @@ def _rotation(a, b, c):
             scale * (-c + a * b), scale * (-b - a * c), 1 - scale * (b * b + c * c))
 
 
-@njit(**OPTIONS)
-def _turn3(sigma, grad, first, volume, hoop, p0, p1):
-    bad = 0
+@njit(**INLINE)
+def _spin3(a, b, c, s0, s1, s2, s3, s4, s5):
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rotation(a / 4, b / 4, c / 4)
+    a0, a1, a2 = r00 * s0 + r01 * s3 + r02 * s5, r00 * s3 + r01 * s1 + r02 * s4, r00 * s5 + r01 * s4 + r02 * s2
+    b0, b1, b2 = r10 * s0 + r11 * s3 + r12 * s5, r10 * s3 + r11 * s1 + r12 * s4, r10 * s5 + r11 * s4 + r12 * s2
+    c0, c1, c2 = r20 * s0 + r21 * s3 + r22 * s5, r20 * s3 + r21 * s1 + r22 * s4, r20 * s5 + r21 * s4 + r22 * s2
+    return (a0 * r00 + a1 * r01 + a2 * r02, b0 * r10 + b1 * r11 + b2 * r12, c0 * r20 + c1 * r21 + c2 * r22,
+            a0 * r10 + a1 * r11 + a2 * r12, b0 * r20 + b1 * r21 + b2 * r22, a0 * r20 + a1 * r21 + a2 * r22)
+
+
+@njit(**INLINE)
+def _ratio3(xx, xy, xz, yx, yy, yz, zx, zy, zz):
+    return ((1 + xx) * ((1 + yy) * (1 + zz) - yz * zy) - xy * (yx * (1 + zz) - yz * zx)
+            + xz * (yx * zy - (1 + yy) * zx))
+
+
+@njit(**INLINE)
+def turn1(sigma, grad, first, volume, hoop, bad, p0, p1):
+    """Turn stress and change volumes; leaves the packed strain increment in ``grad``."""
+    inverted = 0
+    for q in range(p0, p1):
+        p, g = U(q), U(q - first)
+        ratio = 1 + grad[0, g]
+        if hoop:
+            ratio = _with_hoop(ratio, 1 + grad[1, g])
+            grad[2, g], grad[1, g], grad[3, g] = grad[1, g], 0.0, 0.0
+        volume[p] *= ratio
+        inverted += not ratio > 0
+    bad[0] = inverted
+
+
+@njit(**INLINE)
+def turn2(sigma, grad, first, volume, hoop, bad, p0, p1):
+    """The same in two dimensions."""
+    inverted = 0
+    for q in range(p0, p1):
+        p, g = U(q), U(q - first)
+        xx, xy, yx, yy = grad[0, g], grad[1, g], grad[2, g], grad[3, g]
+        sigma[0, p], sigma[1, p], sigma[3, p] = _spin2(xx, xy, yx, yy, sigma[0, p], sigma[1, p], sigma[3, p])
+        ratio = (1 + xx) * (1 + yy) - xy * yx
+        ratio = _with_hoop(ratio, 1 + grad[4, g]) if hoop else ratio
+        grad[1, g], grad[2, g], grad[3, g] = yy, grad[4, g] if hoop else 0.0, (xy + yx) / 2
+        volume[p] *= ratio
+        inverted += not ratio > 0
+    bad[0] = inverted
+
+
+@njit(**INLINE)
+def turn3(sigma, grad, first, volume, hoop, bad, p0, p1):
+    """The same in three dimensions."""
+    inverted = 0
     for q in range(p0, p1):
         p, g = U(q), U(q - first)
         xx, xy, xz = grad[0, g], grad[1, g], grad[2, g]
         yx, yy, yz = grad[3, g], grad[4, g], grad[5, g]
         zx, zy, zz = grad[6, g], grad[7, g], grad[8, g]
-        r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rotation((xy - yx) / 4, (yz - zy) / 4, (xz - zx) / 4)
-        s0, s1, s2, s3, s4, s5 = sigma[0, p], sigma[1, p], sigma[2, p], sigma[3, p], sigma[4, p], sigma[5, p]
-        a0, a1, a2 = r00 * s0 + r01 * s3 + r02 * s5, r00 * s3 + r01 * s1 + r02 * s4, r00 * s5 + r01 * s4 + r02 * s2
-        b0, b1, b2 = r10 * s0 + r11 * s3 + r12 * s5, r10 * s3 + r11 * s1 + r12 * s4, r10 * s5 + r11 * s4 + r12 * s2
-        c0, c1, c2 = r20 * s0 + r21 * s3 + r22 * s5, r20 * s3 + r21 * s1 + r22 * s4, r20 * s5 + r21 * s4 + r22 * s2
-        sigma[0, p] = a0 * r00 + a1 * r01 + a2 * r02
-        sigma[1, p] = b0 * r10 + b1 * r11 + b2 * r12
-        sigma[2, p] = c0 * r20 + c1 * r21 + c2 * r22
-        sigma[3, p] = a0 * r10 + a1 * r11 + a2 * r12
-        sigma[4, p] = b0 * r20 + b1 * r21 + b2 * r22
-        sigma[5, p] = a0 * r20 + a1 * r21 + a2 * r22
-        ratio = ((1 + xx) * ((1 + yy) * (1 + zz) - yz * zy) - xy * (yx * (1 + zz) - yz * zx)
-                 + xz * (yx * zy - (1 + yy) * zx))
+        (sigma[0, p], sigma[1, p], sigma[2, p], sigma[3, p], sigma[4, p],
+         sigma[5, p]) = _spin3(xy - yx, yz - zy, xz - zx, sigma[0, p], sigma[1, p], sigma[2, p], sigma[3, p],
+                               sigma[4, p], sigma[5, p])
+        ratio = _ratio3(xx, xy, xz, yx, yy, yz, zx, zy, zz)
         grad[0, g], grad[1, g], grad[2, g] = xx, yy, zz
         grad[3, g], grad[4, g], grad[5, g] = (xy + yx) / 2, (yz + zy) / 2, (xz + zx) / 2
         volume[p] *= ratio
-        bad += not ratio > 0
-    return bad
-
-
-@njit(**OPTIONS)
-def _elastic(strain, first, sigma, lam, twice, rows, p0, p1):
-    bad = 0
-    for q in range(p0, p1):
-        p, g = U(q), U(q - first)
-        trace = strain[0, g]
-        if len(rows) > 1:
-            trace += strain[1, g] + strain[2, g]
-        test = 0.0
-        for i in range(len(rows)):
-            value = sigma[U(i), p] + (twice * strain[U(i), g] + (lam * trace if i < 3 else 0.0))
-            sigma[U(i), p] = value
-            test += value * 0.0
-        bad += test != 0
-    return bad
+        inverted += not ratio > 0
+    bad[0] = inverted
 
 
 @njit(**INLINE)
-def _slip(q, eps_p, shear, peak, residual, softening):
+def elastic1(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
+    """Linear elasticity of the Jaumann rate in one dimension."""
+    inverted = 0
+    for q in range(p0, p1):
+        p, g = U(q), U(q - first)
+        slope = grad[0, g]
+        ring = grad[1, g] if hoop else 0.0
+        ratio = _with_hoop(1 + slope, 1 + ring) if hoop else 1 + slope
+        part = lam * (slope + ring)
+        sigma[0, p] += twice * slope + part
+        if hoop:
+            sigma[1, p] += part
+            sigma[2, p] += twice * ring + part
+        volume[p] *= ratio
+        inverted += not ratio > 0
+    bad[0], bad[1] = inverted, _check(sigma, p0, p1)
+
+
+@njit(**INLINE)
+def elastic2(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
+    """The same in two dimensions."""
+    inverted = 0
+    for q in range(p0, p1):
+        p, g = U(q), U(q - first)
+        xx, xy, yx, yy = grad[0, g], grad[1, g], grad[2, g], grad[3, g]
+        ring = grad[4, g] if hoop else 0.0
+        sxx, syy, sxy = _spin2(xx, xy, yx, yy, sigma[0, p], sigma[1, p], sigma[3, p])
+        ratio = (1 + xx) * (1 + yy) - xy * yx
+        ratio = _with_hoop(ratio, 1 + ring) if hoop else ratio
+        part = lam * (xx + yy + ring)
+        sigma[0, p], sigma[1, p] = sxx + (twice * xx + part), syy + (twice * yy + part)
+        sigma[2, p] += twice * ring + part
+        sigma[3, p] = sxy + twice * ((xy + yx) / 2)
+        volume[p] *= ratio
+        inverted += not ratio > 0
+    bad[0], bad[1] = inverted, _check(sigma, p0, p1)
+
+
+@njit(**INLINE)
+def elastic3(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
+    """The same in three dimensions."""
+    inverted = 0
+    for q in range(p0, p1):
+        p, g = U(q), U(q - first)
+        xx, xy, xz = grad[0, g], grad[1, g], grad[2, g]
+        yx, yy, yz = grad[3, g], grad[4, g], grad[5, g]
+        zx, zy, zz = grad[6, g], grad[7, g], grad[8, g]
+        s0, s1, s2, s3, s4, s5 = _spin3(xy - yx, yz - zy, xz - zx, sigma[0, p], sigma[1, p], sigma[2, p], sigma[3, p],
+                                        sigma[4, p], sigma[5, p])
+        part = lam * (xx + yy + zz)
+        sigma[0, p], sigma[1, p] = s0 + (twice * xx + part), s1 + (twice * yy + part)
+        sigma[2, p], sigma[3, p] = s2 + (twice * zz + part), s3 + twice * ((xy + yx) / 2)
+        sigma[4, p], sigma[5, p] = s4 + twice * ((yz + zy) / 2), s5 + twice * ((xz + zx) / 2)
+        ratio = _ratio3(xx, xy, xz, yx, yy, yz, zx, zy, zz)
+        volume[p] *= ratio
+        inverted += not ratio > 0
+    bad[0], bad[1] = inverted, _check(sigma, p0, p1)
+
+
+@njit(**INLINE)
+def _slip(q, cohesion, shear, residual, softening):
     root = np.sqrt(3.0)
-    cohesion = max(residual, peak + softening * eps_p)
     soft = (q - root * cohesion) / (3 * shear + root * softening)
     return max(0.0, min(soft, (q - root * residual) / (3 * shear)))
 
 
-@njit(**OPTIONS)
-def _von_mises(strain, first, sigma, eps_p, volume, constants, rows, p0, p1):
+@njit(**INLINE)
+def von_mises(strain, first, sigma, eps_p, volume, constants, bad, rows, p0, p1):
     """Closed-form return; leaves the energy that plastic flow takes in the first row of ``strain``."""
-    bad = 0
     lam, shear, peak, residual, softening = constants
     for k in range(p0, p1):
         p, g = U(k), U(k - first)
@@ -137,7 +200,8 @@ def _von_mises(strain, first, sigma, eps_p, volume, constants, rows, p0, p1):
             s4, s5 = sigma[4, p] + 2 * shear * strain[4, g], sigma[5, p] + 2 * shear * strain[5, g]
             square += 2 * (s4 * s4) + 2 * (s5 * s5)
         q = np.sqrt(1.5 * square)
-        slip = _slip(q, eps_p[0, p], shear, peak, residual, softening)
+        before = max(residual, peak + softening * eps_p[0, p])
+        slip = _slip(q, before, shear, residual, softening)
         scale = 3 * shear * slip / (q if q > 0 else 1.0)
         sigma[0, p], sigma[1, p], sigma[2, p] = s0 - scale * d0, s1 - scale * d1, s2 - scale * d2
         sigma[3, p] = s3 - scale * s3
@@ -145,78 +209,15 @@ def _von_mises(strain, first, sigma, eps_p, volume, constants, rows, p0, p1):
             sigma[4, p], sigma[5, p] = s4 - scale * s4, s5 - scale * s5
         after = eps_p[0, p] + slip
         eps_p[0, p] = after
-        cohesion = max(residual, peak + softening * after)
+        cohesion = (before + max(residual, peak + softening * after)) / 2
         strain[0, g] = np.sqrt(3.0) * cohesion * slip * volume[p] if slip > 0 else 0.0
-        bad += (square + mean) * 0.0 != 0
-    return bad
+    bad[1] = _check(sigma, p0, p1)
 
 
-@njit(**OPTIONS)
-def _total(grad, count):
-    a = b = c = d = 0.0
-    row, last = grad[0], count // 4 * 4
-    for p in range(0, last, 4):
-        a += row[p]
-        b += row[p + 1]
-        c += row[p + 2]
-        d += row[p + 3]
-    for p in range(last, count):
-        a += row[p]
-    return (a + b) + (c + d)
-
-
-@njit(parallel=True, **OPTIONS)
-def elastic1(grad, sigma, volume, hoop, lam, twice, bad, rows):
-    """Linear elasticity; ``bad (tiles, 2)`` counts points inside out and points not finite."""
-    for tile in prange(len(bad)):
-        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
-        bad[tile, 0] = _turn1(sigma, grad, 0, volume, hoop, p0, p1)
-        bad[tile, 1] = _elastic(grad, 0, sigma, lam, twice, rows, p0, p1)
-
-
-@njit(parallel=True, **OPTIONS)
-def von_mises1(grad, sigma, eps_p, volume, hoop, constants, bad, work, rows):
-    """Von Mises plasticity with linear softening; ``work (tiles,)`` takes the energy that plastic flow takes."""
-    for tile in prange(len(bad)):
-        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
-        bad[tile, 0] = _turn1(sigma, grad, 0, volume, hoop, p0, p1)
-        bad[tile, 1] = _von_mises(grad, 0, sigma, eps_p, volume, constants, rows, p0, p1)
-        work[tile] = _total(grad[:, p0:p1], p1 - p0)
-
-
-@njit(parallel=True, **OPTIONS)
-def elastic2(grad, sigma, volume, hoop, lam, twice, bad, rows):
-    """Linear elasticity in two dimensions."""
-    for tile in prange(len(bad)):
-        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
-        bad[tile, 0] = _turn2(sigma, grad, 0, volume, hoop, p0, p1)
-        bad[tile, 1] = _elastic(grad, 0, sigma, lam, twice, rows, p0, p1)
-
-
-@njit(parallel=True, **OPTIONS)
-def von_mises2(grad, sigma, eps_p, volume, hoop, constants, bad, work, rows):
-    """Von Mises plasticity in two dimensions."""
-    for tile in prange(len(bad)):
-        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
-        bad[tile, 0] = _turn2(sigma, grad, 0, volume, hoop, p0, p1)
-        bad[tile, 1] = _von_mises(grad, 0, sigma, eps_p, volume, constants, rows, p0, p1)
-        work[tile] = _total(grad[:, p0:p1], p1 - p0)
-
-
-@njit(parallel=True, **OPTIONS)
-def elastic3(grad, sigma, volume, hoop, lam, twice, bad, rows):
-    """Linear elasticity in three dimensions."""
-    for tile in prange(len(bad)):
-        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
-        bad[tile, 0] = _turn3(sigma, grad, 0, volume, hoop, p0, p1)
-        bad[tile, 1] = _elastic(grad, 0, sigma, lam, twice, rows, p0, p1)
-
-
-@njit(parallel=True, **OPTIONS)
-def von_mises3(grad, sigma, eps_p, volume, hoop, constants, bad, work, rows):
-    """Von Mises plasticity in three dimensions."""
-    for tile in prange(len(bad)):
-        p0, p1 = tile * TILE, min((tile + 1) * TILE, len(volume))
-        bad[tile, 0] = _turn3(sigma, grad, 0, volume, hoop, p0, p1)
-        bad[tile, 1] = _von_mises(grad, 0, sigma, eps_p, volume, constants, rows, p0, p1)
-        work[tile] = _total(grad[:, p0:p1], p1 - p0)
+@njit(**SUMS)
+def total(row, p0, p1):
+    """Sum of a tile."""
+    sum_ = 0.0
+    for q in range(U(p0), U(p1)):
+        sum_ += row[q]
+    return sum_

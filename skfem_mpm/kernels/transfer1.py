@@ -3,90 +3,124 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from .options import CHUNKS, INLINE, OPTIONS, TILE
+from .chunks import band, clear, cut, measure, pour
+from .options import INLINE, OPTIONS, TILE
 
 U = np.uint64
 
 
-@njit(**INLINE)
-def _clear(g, band):
-    for i in range(band[0], band[1]):
-        for j in range(g.shape[1]):
-            g[i, j] = 0.0
+@njit(**OPTIONS)
+def p2g(base, w, m, v, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0, c1):
+    n, start, end = len(m), 0, 0
+    for c in range(c0, c1):
+        low, high = band(rows, frame, c)
+        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
+        clear(g, low - shift, high - shift)
+        for q in range(cut(n, c), cut(n, c + 1)):
+            p = U(q)
+            mass, momentum = m[p], m[p] * v[0, p]
+            stress = -volume[p] * sigma[0, p]
+            ring = -volume[p] * sigma[2, p] / x[0, p] if hoop else 0.0
+            node = U(base[p, 0] - frame[0, 0] - shift)
+            for a in range(len(kt)):
+                i, value, slope = node + U(a), w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
+                g[i, 0] += value * mass
+                g[i, 1] += value * momentum
+                g[i, 2] += slope * stress + value * ring
+        if len(copies) == 1:
+            start, end = pour(g, out, low, high, start, end)
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
 
 
 @njit(**OPTIONS)
-def _p2g(base, w, m, v, volume, sigma, x, hoop, frame, g, band, kt, p0, p1):
-    _clear(g, band)
-    for q in range(p0, p1):
-        p = U(q)
-        mass, momentum = m[p], m[p] * v[0, p]
-        stress = -volume[p] * sigma[0, p]
-        ring = -volume[p] * sigma[2, p] / x[0, p] if hoop else 0.0
-        node = U(base[p, 0] - frame[0, 0])
-        for a in range(len(kt)):
-            i, value, slope = node + U(a), w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
-            g[i, 0] += value * mass
-            g[i, 1] += value * momentum
-            g[i, 2] += slope * stress + value * ring
-
-
-@njit(parallel=True, **OPTIONS)
-def p2g(base, w, m, v, volume, sigma, x, hoop, frame, copies, bands, kt):
-    """Mass, momentum and internal force."""
-    n = len(m)
-    for c in prange(CHUNKS):
-        _p2g(base, w, m, v, volume, sigma, x, hoop, frame, copies[c], bands[c], kt, n * c // CHUNKS,
-             n * (c + 1) // CHUNKS)
+def p2g_mass(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
+    n, start, end = len(m), 0, 0
+    for c in range(c0, c1):
+        low, high = band(rows, frame, c)
+        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
+        clear(g, low - shift, high - shift)
+        for q in range(cut(n, c), cut(n, c + 1)):
+            p = U(q)
+            mass, momentum = m[p], m[p] * v[0, p]
+            node = U(base[p, 0] - frame[0, 0] - shift)
+            for a in range(len(kt)):
+                i, value = node + U(a), w[p, 0, 0, U(a)]
+                g[i, 0] += value * mass
+                g[i, 1] += value * momentum
+        if len(copies) == 1:
+            start, end = pour(g, out, low, high, start, end)
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
 
 
 @njit(**OPTIONS)
-def _p2g_momentum(base, w, m, v, frame, g, band, kt, p0, p1):
-    _clear(g, band)
-    for q in range(p0, p1):
-        p = U(q)
-        mass, momentum = m[p], m[p] * v[0, p]
-        node = U(base[p, 0] - frame[0, 0])
-        for a in range(len(kt)):
-            i, value = node + U(a), w[p, 0, 0, U(a)]
-            g[i, 0] += value * mass
-            g[i, 1] += value * momentum
-
-
-@njit(parallel=True, **OPTIONS)
-def p2g_momentum(base, w, m, v, frame, copies, bands, kt):
-    """Mass and momentum."""
-    n = len(m)
-    for c in prange(CHUNKS):
-        _p2g_momentum(base, w, m, v, frame, copies[c], bands[c], kt, n * c // CHUNKS, n * (c + 1) // CHUNKS)
-
-
-@njit(**OPTIONS)
-def _p2g_force(base, w, volume, sigma, x, hoop, frame, g, band, kt, p0, p1):
-    _clear(g, band)
-    for q in range(p0, p1):
-        p = U(q)
-        stress = -volume[p] * sigma[0, p]
-        ring = -volume[p] * sigma[2, p] / x[0, p] if hoop else 0.0
-        node = U(base[p, 0] - frame[0, 0])
-        for a in range(len(kt)):
-            g[node + U(a), 0] += w[p, 0, 1, U(a)] * stress + w[p, 0, 0, U(a)] * ring
-
-
-@njit(parallel=True, **OPTIONS)
-def p2g_force(base, w, volume, sigma, x, hoop, frame, copies, bands, kt):
-    """Internal force."""
-    n = len(volume)
-    for c in prange(CHUNKS):
-        _p2g_force(base, w, volume, sigma, x, hoop, frame, copies[c], bands[c], kt, n * c // CHUNKS,
-                   n * (c + 1) // CHUNKS)
+def p2g_momentum(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
+    n, start, end = len(m), 0, 0
+    for c in range(c0, c1):
+        low, high = band(rows, frame, c)
+        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
+        clear(g, low - shift, high - shift)
+        for q in range(cut(n, c), cut(n, c + 1)):
+            p = U(q)
+            momentum, node = m[p] * v[0, p], U(base[p, 0] - frame[0, 0] - shift)
+            for a in range(len(kt)):
+                g[node + U(a), 0] += w[p, 0, 0, U(a)] * momentum
+        if len(copies) == 1:
+            start, end = pour(g, out, low, high, start, end)
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
 
 
 @njit(**OPTIONS)
-def _interpolate(base, w, nodal, frame, out, kt, p0, p1):
-    for q in range(p0, p1):
+def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
+    n, start, end = len(m), 0, 0
+    for c in range(c0, c1):
+        low, high = band(rows, frame, c)
+        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
+        clear(g, low - shift, high - shift)
+        for q in range(cut(n, c), cut(n, c + 1)):
+            p = U(q)
+            size, node = m[p] * slope[0, p], U(base[p, 0] - frame[0, 0] - shift)
+            for a in range(len(kt)):
+                g[node + U(a), 0] += w[p, 0, 0, U(a)] * size * (knots[0, base[p, 0] + a + 1] - x[0, p])
+        if len(copies) == 1:
+            start, end = pour(g, out, low, high, start, end)
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
+
+
+@njit(**OPTIONS)
+def p2g_force(base, w, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0, c1):
+    n, start, end = len(volume), 0, 0
+    for c in range(c0, c1):
+        low, high = band(rows, frame, c)
+        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
+        clear(g, low - shift, high - shift)
+        for q in range(cut(n, c), cut(n, c + 1)):
+            p = U(q)
+            stress = -volume[p] * sigma[0, p]
+            ring = -volume[p] * sigma[2, p] / x[0, p] if hoop else 0.0
+            node = U(base[p, 0] - frame[0, 0] - shift)
+            for a in range(len(kt)):
+                g[node + U(a), 0] += w[p, 0, 1, U(a)] * stress + w[p, 0, 0, U(a)] * ring
+        if len(copies) == 1:
+            start, end = pour(g, out, low, high, start, end)
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
+
+
+@njit(**OPTIONS)
+def interpolate(base, w, nodal, frame, out, kt, c0, c1):
+    n = out.shape[1]
+    for q in range(cut(n, c0), cut(n, c1)):
         p = U(q)
         node = U(base[p, 0] - frame[0, 0])
         total = 0.0
@@ -95,18 +129,9 @@ def _interpolate(base, w, nodal, frame, out, kt, p0, p1):
         out[0, p] = total
 
 
-@njit(parallel=True, **OPTIONS)
-def interpolate(base, w, nodal, frame, out, kt):
-    """Nodal vectors at the points."""
-    n = out.shape[1]
-    for c in prange(CHUNKS):
-        _interpolate(base, w, nodal, frame, out, kt, n * c // CHUNKS, n * (c + 1) // CHUNKS)
-
-
-@njit(**OPTIONS)
-def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, first, limits, kt, p0, p1):
-    low = high = x[0, p0]
-    work, bad = 0.0, 0.0
+@njit(**INLINE)
+def move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, first, limits, kt, p0, p1):
+    work = 0.0
     for q in range(p0, p1):
         p, at = U(q), U(q - first)
         node = U(base[p, 0] - frame[0, 0])
@@ -117,42 +142,39 @@ def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, first, limits, kt
             gained += value * nodal[i, 1]
             slope += w[p, 0, 1, U(a)] * nodal[i, 0]
         v[0, p] = flip * (v[0, p] + gained) + (1 - flip) * moving
-        x[0, p] += dt * moving
+        ahead[0, p] = x[0, p] + dt * moving
         work += m[p] * (moving - gained / 2)
-        bad += v[0, p] * 0.0
-        low, high = x[0, p] if x[0, p] < low else low, x[0, p] if x[0, p] > high else high
         if len(grad):
             grad[0, at] = dt * slope
             if hoop:
                 grad[1, at] = dt * moving / x[0, p]
-    limits[0], limits[1], limits[2], limits[3] = bad, work, low, high
-
-
-@njit(parallel=True, **OPTIONS)
-def g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt):
-    """Move points with the grid; displacement gradient too if there is room for it."""
-    for tile in prange(len(limits)):
-        _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, 0, limits[tile], kt, tile * TILE,
-             min((tile + 1) * TILE, len(m)))
+    limits[1] = work
+    measure(x, ahead, v, limits, p0, p1)
 
 
 @njit(**OPTIONS)
-def _gradient(base, w, nodal, frame, x, dt, hoop, grad, kt, p0, p1):
+def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, c0, c1):
+    n, none = len(m), np.empty((0, 0))
+    for t in range(cut(n, c0), cut(n, c1), TILE):
+        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, False, none, 0, limits[t // TILE], kt, t,
+             min(t + TILE, n))
+
+
+@njit(**INLINE)
+def slopes(base, w, nodal, frame, x, dt, hoop, grad, first, kt, p0, p1):
     for q in range(p0, p1):
-        p = U(q)
+        p, at = U(q), U(q - first)
         node = U(base[p, 0] - frame[0, 0])
         here = slope = 0.0
         for a in range(len(kt)):
             here += w[p, 0, 0, U(a)] * nodal[node + U(a), 0]
             slope += w[p, 0, 1, U(a)] * nodal[node + U(a), 0]
-        grad[0, p] = dt * slope
+        grad[0, at] = dt * slope
         if hoop:
-            grad[1, p] = dt * here / x[0, p]
+            grad[1, at] = dt * here / x[0, p]
 
 
-@njit(parallel=True, **OPTIONS)
-def gradient(base, w, nodal, frame, x, dt, hoop, grad, kt):
-    """Displacement gradient over a step."""
+@njit(**OPTIONS)
+def gradient(base, w, nodal, frame, x, dt, hoop, grad, kt, c0, c1):
     n = x.shape[1]
-    for c in prange(CHUNKS):
-        _gradient(base, w, nodal, frame, x, dt, hoop, grad, kt, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+    slopes(base, w, nodal, frame, x, dt, hoop, grad, 0, kt, cut(n, c0), cut(n, c1))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from .options import CHUNKS, INLINE, OPTIONS, TILE
-from .transfer1 import _clear
+from .chunks import band, clear, cut, measure, pour
+from .options import INLINE, OPTIONS, TILE
 
 U = np.uint64
 
 
 @njit(**INLINE)
 def _node(base, frame, p):
-    return U((base[p, 0] - frame[0, 0]) * frame[1, 0] + (base[p, 1] - frame[0, 1]) * frame[1, 1]
-             + base[p, 2] - frame[0, 2])
+    return ((base[p, 0] - frame[0, 0]) * frame[1, 0] + (base[p, 1] - frame[0, 1]) * frame[1, 1]
+            + base[p, 2] - frame[0, 2])
 
 
 @njit(**INLINE)
@@ -25,147 +25,205 @@ def _stress(volume, sigma, p):
 
 
 @njit(**OPTIONS)
-def _p2g(base, w, m, v, volume, sigma, frame, g, band, kt, p0, p1):
-    _clear(g, band)
+def p2g(base, w, m, v, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0, c1):
+    n, start, end = len(m), 0, 0
     row, layer = U(frame[1, 1]), U(frame[1, 0])
-    for q in range(p0, p1):
-        p = U(q)
-        mass = m[p]
-        mx, my, mz = mass * v[0, p], mass * v[1, p], mass * v[2, p]
-        sxx, syy, szz, sxy, syz, sxz = _stress(volume, sigma, p)
-        start = _node(base, frame, p)
-        for a in range(len(kt)):
-            wx, dx = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
-            node = start
-            for b in range(len(kt)):
-                wy, dy = w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
-                value, slopex, slopey = wx * wy, dx * wy, wx * dy
-                c0, c1, c2, c3 = value * mass, value * mx, value * my, value * mz
-                f1, s1 = slopex * sxx + slopey * sxy, value * sxz
-                f2, s2 = slopex * sxy + slopey * syy, value * syz
-                f3, s3 = slopex * sxz + slopey * syz, value * szz
-                for c in range(len(kt)):
-                    i, wz, dz = node + U(c), w[p, 2, 0, U(c)], w[p, 2, 1, U(c)]
-                    g[i, 0] += wz * c0
-                    g[i, 1] += wz * c1
-                    g[i, 2] += wz * c2
-                    g[i, 3] += wz * c3
-                    g[i, 4] += wz * f1 + dz * s1
-                    g[i, 5] += wz * f2 + dz * s2
-                    g[i, 6] += wz * f3 + dz * s3
-                node += row
-            start += layer
-
-
-@njit(parallel=True, **OPTIONS)
-def p2g(base, w, m, v, volume, sigma, x, hoop, frame, copies, bands, kt):
-    """Mass, momentum and internal force."""
-    n = len(m)
-    for c in prange(CHUNKS):
-        _p2g(base, w, m, v, volume, sigma, frame, copies[c], bands[c], kt, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+    for c in range(c0, c1):
+        low, high = band(rows, frame, c)
+        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
+        clear(g, low - shift, high - shift)
+        for q in range(cut(n, c), cut(n, c + 1)):
+            p = U(q)
+            mass = m[p]
+            mx, my, mz = mass * v[0, p], mass * v[1, p], mass * v[2, p]
+            sxx, syy, szz, sxy, syz, sxz = _stress(volume, sigma, p)
+            first = U(_node(base, frame, p) - shift)
+            for a in range(len(kt)):
+                wx, dx, node = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)], first
+                for b in range(len(kt)):
+                    wy, dy = w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
+                    value, slopex, slopey = wx * wy, dx * wy, wx * dy
+                    mw, ux, uy, uz = value * mass, value * mx, value * my, value * mz
+                    f1, s1 = slopex * sxx + slopey * sxy, value * sxz
+                    f2, s2 = slopex * sxy + slopey * syy, value * syz
+                    f3, s3 = slopex * sxz + slopey * syz, value * szz
+                    for d in range(len(kt)):
+                        i, wz, dz = node + U(d), w[p, 2, 0, U(d)], w[p, 2, 1, U(d)]
+                        g[i, 0] += wz * mw
+                        g[i, 1] += wz * ux
+                        g[i, 2] += wz * uy
+                        g[i, 3] += wz * uz
+                        g[i, 4] += wz * f1 + dz * s1
+                        g[i, 5] += wz * f2 + dz * s2
+                        g[i, 6] += wz * f3 + dz * s3
+                    node += row
+                first += layer
+        if len(copies) == 1:
+            start, end = pour(g, out, low, high, start, end)
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
 
 
 @njit(**OPTIONS)
-def _p2g_momentum(base, w, m, v, frame, g, band, kt, p0, p1):
-    _clear(g, band)
+def p2g_mass(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
+    n, start, end = len(m), 0, 0
     row, layer = U(frame[1, 1]), U(frame[1, 0])
-    for q in range(p0, p1):
-        p = U(q)
-        mass = m[p]
-        mx, my, mz = mass * v[0, p], mass * v[1, p], mass * v[2, p]
-        start = _node(base, frame, p)
-        for a in range(len(kt)):
-            node = start
-            for b in range(len(kt)):
-                value = w[p, 0, 0, U(a)] * w[p, 1, 0, U(b)]
-                c0, c1, c2, c3 = value * mass, value * mx, value * my, value * mz
-                for c in range(len(kt)):
-                    i, wz = node + U(c), w[p, 2, 0, U(c)]
-                    g[i, 0] += wz * c0
-                    g[i, 1] += wz * c1
-                    g[i, 2] += wz * c2
-                    g[i, 3] += wz * c3
-                node += row
-            start += layer
-
-
-@njit(parallel=True, **OPTIONS)
-def p2g_momentum(base, w, m, v, frame, copies, bands, kt):
-    """Mass and momentum."""
-    n = len(m)
-    for c in prange(CHUNKS):
-        _p2g_momentum(base, w, m, v, frame, copies[c], bands[c], kt, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+    for c in range(c0, c1):
+        low, high = band(rows, frame, c)
+        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
+        clear(g, low - shift, high - shift)
+        for q in range(cut(n, c), cut(n, c + 1)):
+            p = U(q)
+            mass, first = m[p], U(_node(base, frame, p) - shift)
+            mx, my, mz = mass * v[0, p], mass * v[1, p], mass * v[2, p]
+            for a in range(len(kt)):
+                node = first
+                for b in range(len(kt)):
+                    value = w[p, 0, 0, U(a)] * w[p, 1, 0, U(b)]
+                    mw, ux, uy, uz = value * mass, value * mx, value * my, value * mz
+                    for d in range(len(kt)):
+                        i, wz = node + U(d), w[p, 2, 0, U(d)]
+                        g[i, 0] += wz * mw
+                        g[i, 1] += wz * ux
+                        g[i, 2] += wz * uy
+                        g[i, 3] += wz * uz
+                    node += row
+                first += layer
+        if len(copies) == 1:
+            start, end = pour(g, out, low, high, start, end)
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
 
 
 @njit(**OPTIONS)
-def _p2g_force(base, w, volume, sigma, frame, g, band, kt, p0, p1):
-    _clear(g, band)
+def p2g_momentum(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
+    n, start, end = len(m), 0, 0
     row, layer = U(frame[1, 1]), U(frame[1, 0])
-    for q in range(p0, p1):
-        p = U(q)
-        sxx, syy, szz, sxy, syz, sxz = _stress(volume, sigma, p)
-        start = _node(base, frame, p)
-        for a in range(len(kt)):
-            wx, dx = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
-            node = start
-            for b in range(len(kt)):
-                wy, dy = w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
-                value, slopex, slopey = wx * wy, dx * wy, wx * dy
-                f1, s1 = slopex * sxx + slopey * sxy, value * sxz
-                f2, s2 = slopex * sxy + slopey * syy, value * syz
-                f3, s3 = slopex * sxz + slopey * syz, value * szz
-                for c in range(len(kt)):
-                    i, wz, dz = node + U(c), w[p, 2, 0, U(c)], w[p, 2, 1, U(c)]
-                    g[i, 0] += wz * f1 + dz * s1
-                    g[i, 1] += wz * f2 + dz * s2
-                    g[i, 2] += wz * f3 + dz * s3
-                node += row
-            start += layer
-
-
-@njit(parallel=True, **OPTIONS)
-def p2g_force(base, w, volume, sigma, x, hoop, frame, copies, bands, kt):
-    """Internal force."""
-    n = len(volume)
-    for c in prange(CHUNKS):
-        _p2g_force(base, w, volume, sigma, frame, copies[c], bands[c], kt, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+    for c in range(c0, c1):
+        low, high = band(rows, frame, c)
+        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
+        clear(g, low - shift, high - shift)
+        for q in range(cut(n, c), cut(n, c + 1)):
+            p = U(q)
+            mx, my, mz, first = m[p] * v[0, p], m[p] * v[1, p], m[p] * v[2, p], U(_node(base, frame, p) - shift)
+            for a in range(len(kt)):
+                node = first
+                for b in range(len(kt)):
+                    value = w[p, 0, 0, U(a)] * w[p, 1, 0, U(b)]
+                    ux, uy, uz = value * mx, value * my, value * mz
+                    for d in range(len(kt)):
+                        i, wz = node + U(d), w[p, 2, 0, U(d)]
+                        g[i, 0] += wz * ux
+                        g[i, 1] += wz * uy
+                        g[i, 2] += wz * uz
+                    node += row
+                first += layer
+        if len(copies) == 1:
+            start, end = pour(g, out, low, high, start, end)
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
 
 
 @njit(**OPTIONS)
-def _interpolate(base, w, nodal, frame, out, kt, p0, p1):
+def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
+    n, start, end = len(m), 0, 0
     row, layer = U(frame[1, 1]), U(frame[1, 0])
-    for q in range(p0, p1):
+    for c in range(c0, c1):
+        low, high = band(rows, frame, c)
+        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
+        clear(g, low - shift, high - shift)
+        for q in range(cut(n, c), cut(n, c + 1)):
+            p = U(q)
+            first = U(_node(base, frame, p) - shift)
+            for a in range(len(kt)):
+                node, rx = first, knots[0, base[p, 0] + a + 1] - x[0, p]
+                for b in range(len(kt)):
+                    value, ry = m[p] * w[p, 0, 0, U(a)] * w[p, 1, 0, U(b)], knots[1, base[p, 1] + b + 1] - x[1, p]
+                    for d in range(len(kt)):
+                        i, size, rz = node + U(d), value * w[p, 2, 0, U(d)], knots[2, base[p, 2] + d + 1] - x[2, p]
+                        g[i, 0] += size * (slope[0, p] * rx + slope[1, p] * ry + slope[2, p] * rz)
+                        g[i, 1] += size * (slope[3, p] * rx + slope[4, p] * ry + slope[5, p] * rz)
+                        g[i, 2] += size * (slope[6, p] * rx + slope[7, p] * ry + slope[8, p] * rz)
+                    node += row
+                first += layer
+        if len(copies) == 1:
+            start, end = pour(g, out, low, high, start, end)
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
+
+
+@njit(**OPTIONS)
+def p2g_force(base, w, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0, c1):
+    n, start, end = len(volume), 0, 0
+    row, layer = U(frame[1, 1]), U(frame[1, 0])
+    for c in range(c0, c1):
+        low, high = band(rows, frame, c)
+        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
+        clear(g, low - shift, high - shift)
+        for q in range(cut(n, c), cut(n, c + 1)):
+            p = U(q)
+            sxx, syy, szz, sxy, syz, sxz = _stress(volume, sigma, p)
+            first = U(_node(base, frame, p) - shift)
+            for a in range(len(kt)):
+                wx, dx, node = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)], first
+                for b in range(len(kt)):
+                    wy, dy = w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
+                    value, slopex, slopey = wx * wy, dx * wy, wx * dy
+                    f1, s1 = slopex * sxx + slopey * sxy, value * sxz
+                    f2, s2 = slopex * sxy + slopey * syy, value * syz
+                    f3, s3 = slopex * sxz + slopey * syz, value * szz
+                    for d in range(len(kt)):
+                        i, wz, dz = node + U(d), w[p, 2, 0, U(d)], w[p, 2, 1, U(d)]
+                        g[i, 0] += wz * f1 + dz * s1
+                        g[i, 1] += wz * f2 + dz * s2
+                        g[i, 2] += wz * f3 + dz * s3
+                    node += row
+                first += layer
+        if len(copies) == 1:
+            start, end = pour(g, out, low, high, start, end)
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
+
+
+@njit(**OPTIONS)
+def interpolate(base, w, nodal, frame, out, kt, c0, c1):
+    n, row, layer = out.shape[1], U(frame[1, 1]), U(frame[1, 0])
+    for q in range(cut(n, c0), cut(n, c1)):
         p = U(q)
-        start = _node(base, frame, p)
+        first = U(_node(base, frame, p))
         vx = vy = vz = 0.0
         for a in range(len(kt)):
-            node = start
+            node = first
             for b in range(len(kt)):
                 plane = w[p, 0, 0, U(a)] * w[p, 1, 0, U(b)]
-                for c in range(len(kt)):
-                    value = plane * w[p, 2, 0, U(c)]
-                    vx += value * nodal[node + U(c), 0]
-                    vy += value * nodal[node + U(c), 1]
-                    vz += value * nodal[node + U(c), 2]
+                for d in range(len(kt)):
+                    value = plane * w[p, 2, 0, U(d)]
+                    vx += value * nodal[node + U(d), 0]
+                    vy += value * nodal[node + U(d), 1]
+                    vz += value * nodal[node + U(d), 2]
                 node += row
-            start += layer
+            first += layer
         out[0, p], out[1, p], out[2, p] = vx, vy, vz
 
 
-@njit(parallel=True, **OPTIONS)
-def interpolate(base, w, nodal, frame, out, kt):
-    """Nodal vectors at the points."""
-    n = out.shape[1]
-    for c in prange(CHUNKS):
-        _interpolate(base, w, nodal, frame, out, kt, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+@njit(**INLINE)
+def _write(grad, p, dt, xx, xy, xz, yx, yy, yz, zx, zy, zz):
+    grad[0, p], grad[1, p], grad[2, p] = dt * xx, dt * xy, dt * xz
+    grad[3, p], grad[4, p], grad[5, p] = dt * yx, dt * yy, dt * yz
+    grad[6, p], grad[7, p], grad[8, p] = dt * zx, dt * zy, dt * zz
 
 
 @njit(**INLINE)
 def _line(w, nodal, kt, p, node):
     """Sums along the last axis: velocity, its slope, and its change."""
     rx = ry = rz = sx = sy = sz = hx = hy = hz = 0.0
-    for c in range(len(kt)):
-        i, wz, dz = node + U(c), w[p, 2, 0, U(c)], w[p, 2, 1, U(c)]
+    for d in range(len(kt)):
+        i, wz, dz = node + U(d), w[p, 2, 0, U(d)], w[p, 2, 1, U(d)]
         nx, ny, nz = nodal[i, 0], nodal[i, 1], nodal[i, 2]
         rx += wz * nx
         ry += wz * ny
@@ -182,10 +240,10 @@ def _line(w, nodal, kt, p, node):
 @njit(**INLINE)
 def _rates(base, w, nodal, frame, kt, p):
     """Velocity, its change and its gradient at a point."""
-    row, layer, start = U(frame[1, 1]), U(frame[1, 0]), _node(base, frame, p)
+    row, layer, first = U(frame[1, 1]), U(frame[1, 0]), U(_node(base, frame, p))
     vx = vy = vz = gx = gy = gz = xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
     for a in range(len(kt)):
-        wx, dx, node = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)], start
+        wx, dx, node = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)], first
         for b in range(len(kt)):
             wy, dy = w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
             value, slopex, slopey = wx * wy, dx * wy, wx * dy
@@ -206,63 +264,74 @@ def _rates(base, w, nodal, frame, kt, p):
             yz += value * sy
             zz += value * sz
             node += row
-        start += layer
+        first += layer
     return vx, vy, vz, gx, gy, gz, xx, xy, xz, yx, yy, yz, zx, zy, zz
 
 
 @njit(**INLINE)
-def _write(grad, p, dt, xx, xy, xz, yx, yy, yz, zx, zy, zz):
-    grad[0, p], grad[1, p], grad[2, p] = dt * xx, dt * xy, dt * xz
-    grad[3, p], grad[4, p], grad[5, p] = dt * yx, dt * yy, dt * yz
-    grad[6, p], grad[7, p], grad[8, p] = dt * zx, dt * zy, dt * zz
-
-
-@njit(**OPTIONS)
-def _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, first, limits, kt, p0, p1):
-    lowx, lowy, lowz = x[0, p0], x[1, p0], x[2, p0]
-    highx, highy, highz = lowx, lowy, lowz
-    workx = worky = workz = bad = 0.0
+def move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, first, limits, kt, p0, p1):
+    workx = worky = workz = 0.0
     rest = 1 - flip
     for q in range(p0, p1):
         p, at = U(q), U(q - first)
         vx, vy, vz, gx, gy, gz, xx, xy, xz, yx, yy, yz, zx, zy, zz = _rates(base, w, nodal, frame, kt, p)
-        newx, newy = flip * (v[0, p] + gx) + rest * vx, flip * (v[1, p] + gy) + rest * vy
-        newz = flip * (v[2, p] + gz) + rest * vz
-        v[0, p], v[1, p], v[2, p] = newx, newy, newz
-        atx, aty, atz = x[0, p] + dt * vx, x[1, p] + dt * vy, x[2, p] + dt * vz
-        x[0, p], x[1, p], x[2, p] = atx, aty, atz
+        v[0, p], v[1, p] = flip * (v[0, p] + gx) + rest * vx, flip * (v[1, p] + gy) + rest * vy
+        v[2, p] = flip * (v[2, p] + gz) + rest * vz
+        ahead[0, p], ahead[1, p], ahead[2, p] = x[0, p] + dt * vx, x[1, p] + dt * vy, x[2, p] + dt * vz
         workx += m[p] * (vx - gx / 2)
         worky += m[p] * (vy - gy / 2)
         workz += m[p] * (vz - gz / 2)
-        bad += newx * 0.0 + newy * 0.0 + newz * 0.0
-        lowx, highx = atx if atx < lowx else lowx, atx if atx > highx else highx
-        lowy, highy = aty if aty < lowy else lowy, aty if aty > highy else highy
-        lowz, highz = atz if atz < lowz else lowz, atz if atz > highz else highz
         if len(grad):
             _write(grad, at, dt, xx, xy, xz, yx, yy, yz, zx, zy, zz)
-    limits[0], limits[1], limits[2], limits[3] = bad, workx, worky, workz
-    limits[4], limits[5], limits[6], limits[7], limits[8], limits[9] = lowx, lowy, lowz, highx, highy, highz
-
-
-@njit(parallel=True, **OPTIONS)
-def g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, limits, kt):
-    """Move points with the grid; displacement gradient too if there is room for it."""
-    for tile in prange(len(limits)):
-        _g2p(base, w, nodal, frame, m, x, v, flip, dt, hoop, grad, 0, limits[tile], kt, tile * TILE,
-             min((tile + 1) * TILE, len(m)))
+    limits[1], limits[2], limits[3] = workx, worky, workz
+    measure(x, ahead, v, limits, p0, p1)
 
 
 @njit(**OPTIONS)
-def _gradient(base, w, nodal, frame, dt, grad, kt, p0, p1):
+def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, c0, c1):
+    n, none = len(m), np.empty((0, 0))
+    for t in range(cut(n, c0), cut(n, c1), TILE):
+        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, False, none, 0, limits[t // TILE], kt, t,
+             min(t + TILE, n))
+
+
+@njit(**INLINE)
+def slopes(base, w, nodal, frame, x, dt, hoop, grad, first, kt, p0, p1):
+    row, layer = U(frame[1, 1]), U(frame[1, 0])
     for q in range(p0, p1):
         p = U(q)
-        vx, vy, vz, gx, gy, gz, xx, xy, xz, yx, yy, yz, zx, zy, zz = _rates(base, w, nodal, frame, kt, p)
-        _write(grad, p, dt, xx, xy, xz, yx, yy, yz, zx, zy, zz)
+        start = U(_node(base, frame, p))
+        xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
+        for a in range(len(kt)):
+            wx, dx, node = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)], start
+            for b in range(len(kt)):
+                wy, dy = w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
+                value, slopex, slopey = wx * wy, dx * wy, wx * dy
+                rx = ry = rz = sx = sy = sz = 0.0
+                for d in range(len(kt)):
+                    i, wz, dz = node + U(d), w[p, 2, 0, U(d)], w[p, 2, 1, U(d)]
+                    nx, ny, nz = nodal[i, 0], nodal[i, 1], nodal[i, 2]
+                    rx += wz * nx
+                    ry += wz * ny
+                    rz += wz * nz
+                    sx += dz * nx
+                    sy += dz * ny
+                    sz += dz * nz
+                xx += slopex * rx
+                yx += slopex * ry
+                zx += slopex * rz
+                xy += slopey * rx
+                yy += slopey * ry
+                zy += slopey * rz
+                xz += value * sx
+                yz += value * sy
+                zz += value * sz
+                node += row
+            start += layer
+        _write(grad, U(q - first), dt, xx, xy, xz, yx, yy, yz, zx, zy, zz)
 
 
-@njit(parallel=True, **OPTIONS)
-def gradient(base, w, nodal, frame, x, dt, hoop, grad, kt):
-    """Displacement gradient over a step."""
+@njit(**OPTIONS)
+def gradient(base, w, nodal, frame, x, dt, hoop, grad, kt, c0, c1):
     n = x.shape[1]
-    for c in prange(CHUNKS):
-        _gradient(base, w, nodal, frame, dt, grad, kt, n * c // CHUNKS, n * (c + 1) // CHUNKS)
+    slopes(base, w, nodal, frame, x, dt, hoop, grad, 0, kt, cut(n, c0), cut(n, c1))

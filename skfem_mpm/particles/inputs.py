@@ -45,7 +45,7 @@ def check_history(history: Any, n: int) -> ndarray:
     if len(shape) != 2 or shape[1] != n:
         hint = ""
         if shape[:1] == (n,):
-            hint = "; transpose it" if len(shape) == 2 else "; write history[None, :] for a law that remembers one number"
+            hint = "; transpose it" if len(shape) == 2 else "; write history[None, :] if the law remembers one number"
         raise ValueError(f"history: got shape {shape}, expected (k, {n}), one row for each name in the law's "
                          f"history{hint}.")
     return check_array("history", history, shape)

@@ -68,8 +68,10 @@ class VerticalCut:
         x, stress = state.particles.x, state.particles.stress[0, 0]
         distance, near = cKDTree(x.T).query(x.T, k=min(16, x.shape[1]))
         offset = (x[:, near] - x[:, :, None]) / distance.max(axis=1)[:, None]
-        basis = np.concatenate([np.ones((1, *near.shape)), offset]).transpose(1, 2, 0)
-        plane = np.einsum("nij,nj->ni", np.linalg.pinv(basis), stress[near])[:, 0]
+        basis = [np.ones(near.shape), *offset]
+        normal = np.array([[(a * b).sum(axis=1) for b in basis] for a in basis]).transpose(2, 0, 1)
+        inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)            # points may lie on a line
+        plane = sum(inverse[:, 0, i] * (a * stress[near]).sum(axis=1) for i, a in enumerate(basis))
         return float(np.sqrt(((stress - plane) ** 2).mean()) / self.weight)
 
     def energy_balance(self, state: ExplicitState) -> float:
