@@ -9,6 +9,8 @@ and ``right`` say whether a neighbour is available; knots of missing ones may be
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy import ndarray
 
@@ -60,13 +62,10 @@ def gimp(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True, right: Ma
     """
     width = knots[1:] - knots[:-1]
     share, middle = pieces(x, half, knots, left, right)
-    value, slope = np.zeros((2, 4, len(x)))
-    for cell in range(3):
-        value[cell] += share[cell] * (1 - middle[cell])
-        value[cell + 1] += share[cell] * middle[cell]
-        slope[cell] -= share[cell] / width[cell]
-        slope[cell + 1] += share[cell] / width[cell]
-    return value, slope
+    tilt, second = share / width, share * middle             # of each piece: its slope, its part of either node
+    first = share - second
+    value = np.stack([first[0], second[0] + first[1], second[1] + first[2], second[2]])
+    return value, np.stack([-tilt[0], tilt[0] - tilt[1], tilt[1] - tilt[2], tilt[2]])
 
 
 def pieces(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True, right: Mask = True) -> tuple[ndarray, ndarray]:
@@ -113,14 +112,17 @@ def cmpm(x: ndarray, knots: ndarray, left: Mask = True, right: Mask = True) -> t
     scale = knots[2] - knots[1]
     t = (x - knots[1]) / scale                                # in host widths, so products neither over- nor underflow
     nodes = (knots - knots[1]) / scale
-    value, slope = np.zeros((2, 4, len(x)))
+    inverse, distance = {}, t - nodes
+    for j, m in itertools.combinations(range(4), 2):
+        apart = 1 / (nodes[j] - nodes[m])
+        inverse[j, m], inverse[m, j] = there[m] * apart, there[j] * -apart
+    value, slope = np.empty((2, 4, len(x)))
     for j in range(4):
         product, derivative = there[j].astype(float), np.zeros(len(x))
         for m in range(4):
             if m != j:
-                inverse = there[m] / (nodes[j] - nodes[m])
-                factor = np.where(there[m], (t - nodes[m]) * inverse, 1.0)
-                derivative = derivative * factor + product * inverse  # the product rule, one factor at a time
+                factor = distance[m] * inverse[j, m] + ~there[m]      # 1 for a missing node
+                derivative = derivative * factor + product * inverse[j, m]  # the product rule, one factor at a time
                 product = product * factor
         value[j], slope[j] = product, derivative / scale
     return value, slope

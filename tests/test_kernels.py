@@ -9,10 +9,12 @@ from skfem_mpm.grid import Grid, available_sides
 pytest.importorskip("numba")
 
 from skfem_mpm.explicit.window import Window  # noqa: E402
+from skfem_mpm.kernels import chunks, transfer2  # noqa: E402
 from skfem_mpm.kernels import nodes as at_nodes  # noqa: E402
 from skfem_mpm.kernels import stencil as kernels  # noqa: E402
 from skfem_mpm.kernels.axes import axes_arrays, cmpm_table  # noqa: E402
-from skfem_mpm.kernels.options import CHUNKS  # noqa: E402
+from skfem_mpm.kernels.crew import Crew  # noqa: E402
+from skfem_mpm.kernels.options import CHUNKS, TILE  # noqa: E402
 
 EQUAL = np.linspace(-1.0, 2.0, 13)
 GRADED = np.concatenate([EQUAL[:5], 0.0 + np.cumsum([0.2, 0.25, 0.3, 0.25, 0.2])])
@@ -34,9 +36,10 @@ class Points:
         self.index = grid.locate(self.x)
         self.axes = axes_arrays(grid.axes)
         self.window = Window(grid, self.index.min(axis=1), self.index.max(axis=1), (), "ghost")
-        self.cell, self.bands = np.empty((n, grid.dim), dtype=np.int32), np.empty((CHUNKS, 2), dtype=np.int64)
+        self.cell = np.empty((n, grid.dim), dtype=np.int32)
         self.occupied = np.zeros(self.window.nnodes, dtype=np.uint8)
-        kernels.locate(self.x, *self.axes, self.window.frame, 1, self.cell, self.bands, self.occupied)
+        kernels.locate(self.x, *self.axes, self.cell, 0, CHUNKS)
+        kernels.mark(self.cell, self.window.frame, self.occupied, 0, CHUNKS)
         self.base = np.empty_like(self.cell)
 
     def room(self, width):
@@ -58,17 +61,15 @@ def points(request):
 def test_cells_and_linear_functions(points):
     assert (points.cell.T == points.index).all()
     w = points.room(2)
-    kernels.fill_linear(points.x, *points.axes[:2], points.cell, w)
+    kernels.fill_linear(points.x, *points.axes[:2], points.cell, w, 0, CHUNKS)
     points.check(points.grid.linear(points.x, points.index), points.cell, w)
 
 
 def test_cells_and_linear_functions_in_one_go():
     points = Points(grid_of(2, False))
-    cell, occupied, bands, w = np.empty_like(points.cell), points.occupied * 0, points.bands * 0, points.room(2)
-    kernels.place_linear(points.x, *points.axes, points.window.frame, cell, bands, occupied, w)
-    assert (cell == points.cell).all() and (occupied == points.occupied).all()
-    stride = points.window.frame[1, 0]
-    assert (bands[:, 0] == points.bands[:, 0] + stride).all() and (bands[:, 1] == points.bands[:, 1] - stride).all()
+    cell, w = np.empty_like(points.cell), points.room(2)
+    kernels.place_linear(points.x, *points.axes, cell, w, 0, CHUNKS)
+    assert (cell == points.cell).all()
     points.check(points.grid.linear(points.x, points.index), cell, w)
 
 
@@ -78,7 +79,7 @@ def test_gimp_of_narrow_domains(share):
     smallest = min(step.min() for step in points.grid.steps)
     length = np.full_like(points.x, share * smallest)
     w = points.room(3)
-    kernels.place_gimp(points.x, length, *points.axes[:2], points.window.frame, points.base, points.bands, w)
+    kernels.place_gimp(points.x, length, 1, *points.axes[:2], points.base, w, 0, CHUNKS)
     expected = points.grid.gimp(points.x, points.index, length)
     if expected.w.shape[2] == 3:
         points.check(expected, points.base, w)
@@ -97,12 +98,13 @@ def test_gimp_and_cmpm_with_masks(points, masked):
             code[node] |= (sides[side, k][tuple(points.index)] << (2 * k + side)).astype(np.uint8)
     w, length = points.room(4), np.full_like(points.x, 0.2)
     knots, inverse, sizes = points.axes
-    kernels.fill_gimp_masked(points.x, length, knots, inverse, sizes, points.cell, window.frame, code, points.base, w)
+    kernels.fill_gimp_masked(points.x, length, knots, inverse, sizes, points.cell, window.frame, code, points.base, w,
+                             0, CHUNKS)
     dense = grid._stencil(points.x, points.index, 4,
                           lambda k, part, knots: _gimp(points, sides, length, k, part, knots))
     points.check(dense, points.base, w)
     kernels.fill_cmpm(points.x, knots, inverse, sizes, points.cell, window.frame, code, cmpm_table(grid.axes),
-                      points.base, w)
+                      points.base, w, 0, CHUNKS)
     points.check(grid.cmpm(points.x, points.index, sides), points.base, w)
 
 
@@ -118,9 +120,9 @@ def test_available_sides(points):
     grid, window = points.grid, points.window
     rng = np.random.default_rng(2)
     active = rng.random(window.nnodes) < 0.9
-    usable, sides = (np.empty(window.nnodes, dtype=np.uint8) for _ in range(2))
+    usable, dropped, sides = (np.empty(window.nnodes, dtype=np.uint8) for _ in range(3))
     at_nodes.available_sides(points.occupied, active.astype(np.uint8), window.corners, window.faces, window.diagonals,
-                             usable, sides)
+                             usable, dropped, sides)
     part = grid.window(points.index)
     local = part.locate(points.x)
     node = window.frame[1] @ (points.index - window.frame[0][:, None])
@@ -130,3 +132,32 @@ def test_available_sides(points):
     for side in (0, 1):
         for k in range(grid.dim):
             assert ((sides[node] >> (2 * k + side) & 1) == expected[side, k][tuple(local)]).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_chunks_sum_up_to_the_same_whole_for_any_crew(threads):
+    """Chunks of unsorted points overlap, and some are empty; a node out of reach gets zero."""
+    points = Points(grid_of(2, False), n=3000)
+    w, mass, velocity = points.room(2), np.ones(3000), np.random.default_rng(3).normal(size=(2, 3000))
+    kernels.place_linear(points.x, *points.axes, points.cell, w, 0, CHUNKS)
+    rows = np.array([[low, high] for low, high in _touched(points.cell[:, 0])])
+    window, crew = points.window, Crew(threads)
+    out = np.full((window.nnodes, 3), np.nan)
+    copies = np.full((CHUNKS if threads > 1 else 1, window.nnodes, 3), np.nan)
+    crew(transfer2.p2g_mass, points.cell, w, mass, velocity, window.frame, out, copies, rows, (0, 0))
+    if threads > 1:
+        crew(chunks.sum_bands, window.frame, copies, rows, out)
+    linear = points.grid.linear(points.x, points.index)
+    assert np.isclose(out.sum(axis=0), [3000, *velocity.sum(axis=1)], rtol=1e-12).all()
+    place = window.frame[1] @ (np.indices(linear.shape).reshape(2, -1) - window.frame[0][:, None])
+    inside = (place >= 0) & (place < window.nnodes)
+    expected = linear.to_nodes(velocity[0])
+    touched = abs(linear.to_nodes(mass)) > 0
+    assert inside[touched].all() and np.isclose(out[place[touched], 1], expected[touched], atol=1e-12).all()
+
+
+def _touched(first):
+    for c in range(CHUNKS):
+        tiles = -(-len(first) // TILE)
+        part = first[tiles * c // CHUNKS * TILE:tiles * (c + 1) // CHUNKS * TILE]
+        yield (part.min(), part.max() + 2) if len(part) else (first.min(), first.min())

@@ -20,9 +20,10 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy import ndarray
-from scipy.sparse import bsr_array, csr_array
+from scipy.sparse import dia_array
 
-from ..integration import PointIntegration
+from ..grid import chunks
+from .couplings import Couplings
 from .nodes import Nodes
 
 ITERATIONS = 10
@@ -58,13 +59,26 @@ def stable_step(nodes: Nodes, moduli: ndarray, volume: ndarray, mass: ndarray, r
     return np.sqrt(2.0 if last else 4.0) / power_bound(multiply, nodes.active)
 
 
-def block_norms(nodes: Nodes, moduli: ndarray, volume: ndarray) -> csr_array:
+def block_norms(nodes: Nodes, moduli: ndarray, volume: ndarray) -> dia_array:
     """Norms of the blocks of the stiffness, ``(nnodes, nnodes)``."""
-    dim, size = nodes.grid.dim, nodes.grid.nnodes
-    operator = PointIntegration(nodes.kinematics, nodes.force.stencil, nodes.strain.stencil, volume, nodes.x[0])
-    number = np.arange(dim * size).reshape(size, dim).T
-    blocks = bsr_array(operator.tangent(moduli, number, dim * size), blocksize=(dim, dim))
-    return csr_array((np.sqrt((blocks.data ** 2).sum(axis=(1, 2))), blocks.indices, blocks.indptr), shape=(size, size))
+    if moduli.shape[2] > 1 and (moduli == moduli[:, :, :1]).all():
+        moduli = moduli[:, :, :1]
+    pairs, terms, dim = Couplings(nodes.force, nodes.strain), nodes.force.terms, nodes.grid.dim
+    ours, theirs = nodes.force.tables, nodes.strain.tables
+    places = [(i * dim + k, q, j, r, l) for i, rows in enumerate(terms) for k, columns in enumerate(terms)
+              for q, j in rows for r, l in columns]
+    if moduli.shape[2] > 1:
+        blocks = np.zeros((dim ** 2, pairs.size))
+        for ik, q, j, r, l in places:
+            blocks[ik] += pairs.sums(volume * moduli[q, r], [ours[j]], [theirs[l]])[0, 0]
+        return pairs.matrix(np.sqrt((blocks ** 2).sum(axis=0)))
+    factor, norms = np.zeros((dim ** 2, len(ours), len(theirs))), np.empty(pairs.size)
+    for ik, q, j, r, l in places:
+        factor[ik, j, l] += moduli[q, r, 0]
+    sums = pairs.sums(volume, ours, theirs).reshape(-1, pairs.size)
+    for part in chunks(pairs.size):
+        norms[part] = np.sqrt(((factor.reshape(dim ** 2, -1) @ sums[:, part]) ** 2).sum(axis=0))
+    return pairs.matrix(norms)
 
 
 def power_bound(multiply: Callable[[ndarray], ndarray], active: ndarray) -> float:

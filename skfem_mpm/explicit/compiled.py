@@ -123,7 +123,7 @@ class CompiledRun(Run):
             self._filter()
         self._move_points(moved)
         if choices.integrator == "musl":
-            self._update(sums.velocity(self._momentum(), 0))
+            self._update(sums.velocity(self._mapped(), 0))
         elif choices.integrator == "usl" and not self.fused:
             self._update(moved)
         self._look(gravity)
@@ -135,24 +135,27 @@ class CompiledRun(Run):
         if gravity is not None:
             self.work["external"] += float(gravity @ tables.work * self.dt)
         if found & FATAL:
-            self._fail(found)
+            self._fail()
         self.x, self.ahead = self.ahead, self.x
         ghost = self.choices.edges == "ghost" and self.choices.method.mass.reads_domains
         if found & chunks.OUTSIDE or (ghost and tables.near_the_edge):
             self._leave()
 
-    def _fail(self, found: int) -> None:
-        """Say what is wrong with which point; in the order of the steps of :class:`Run`."""
+    def _fail(self) -> None:
+        """Say what is wrong with which point: the first one in the user's order, in the order of a step's parts."""
         self._in_users_order()
-        inverted = ~(self.volume > 0)
-        if self.choices.integrator == "usf" and inverted.any():
-            self._stop("turned inside out", int(np.flatnonzero(inverted)[0]))
+        parts = [lambda: self._check_finite("velocity"), self._check_stress]
+        for part in parts[::-1] if self.choices.integrator == "usf" else parts:
+            part()
         self._check_moved(self.ahead - self.x)
+        self._stop("has a sigma that is too large to go on with", int(np.abs(self.sigma).max(axis=0).argmax()))
+
+    def _check_stress(self) -> None:
+        """Stop a run in which a point has turned inside out or has a stress that is no longer finite."""
+        inverted = ~(self.volume > 0)
         if inverted.any():
             self._stop("turned inside out", int(np.flatnonzero(inverted)[0]))
-        self.x = self.ahead
-        self._leave()
-        self._guard()
+        self._check_finite("sigma")
 
     def _leave(self) -> None:
         """Stop at points that leave the grid, or go on without them."""
@@ -244,7 +247,7 @@ class CompiledRun(Run):
         return self.sums.map(self.transfer.p2g_tilt, "tilt", self.dim, self.tables.mapping, self.mass, self.slope,
                              self.x, self.tables.knots)
 
-    def _momentum(self, velocity: ndarray | None = None) -> ndarray:
+    def _mapped(self, velocity: ndarray | None = None) -> ndarray:
         """Momentum of the active nodes from that of the points, or from other velocities of points."""
         own = velocity is None
         nodal = self.sums.map(self.transfer.p2g_momentum, "momentum", self.dim, self.tables.mapping, self.mass,
@@ -259,7 +262,7 @@ class CompiledRun(Run):
         seen = np.empty_like(unseen)
         for _ in range(self.choices.xpic):
             self.crew(self.transfer.interpolate, mapping.base, mapping.w,
-                      self.sums.velocity(self._momentum(unseen), 0), self.sums.window.frame, seen, mapping.kt)
+                      self.sums.velocity(self._mapped(unseen), 0), self.sums.window.frame, seen, mapping.kt)
             unseen -= seen
         self.velocity -= unseen
 
@@ -281,7 +284,8 @@ class CompiledRun(Run):
     def _choose_law(self) -> None:
         """Which kernel the law has, if any; other laws run as they are."""
         law, small = self.material, self.choices.strain == "small"
-        self.law, self.constants = "python", ()
+        self.law = "python"
+        self.constants: tuple[float, ...] = ()
         if small and type(law) is LinearElastic:
             self.law, self.constants = "elastic", (law.lam, 2 * law.G)
         elif small and type(law) is VonMises and len(self.rows) > 1:
@@ -302,8 +306,8 @@ class CompiledRun(Run):
         """Stress after the step, by the gradient of nodal velocities."""
         strain, frame, grad = self.tables.strain, self.sums.window.frame, self.grad
         if not len(grad):
-            return self._apply_law("mapped", strain.base, strain.w, nodal, frame, self.x, self.dt, strain.kt, self.sigma,
-                                   self.volume, self.hoop)
+            return self._apply_law("mapped", strain.base, strain.w, nodal, frame, self.x, self.dt, strain.kt,
+                                   self.sigma, self.volume, self.hoop)
         self.crew(self.transfer.gradient, strain.base, strain.w, nodal, frame, self.x, self.dt, self.hoop, grad,
                   strain.kt)
         if self.smooth:
@@ -311,8 +315,6 @@ class CompiledRun(Run):
         if self.law != "python":
             return self._apply_law("given", grad, self.sigma, self.volume, self.hoop)
         self._respond(grad[:len(self.kinematics.rows(self.dim))])
-        self.tables.bad[:] = 0
-        self.tables.bad[0, 1] = not np.isfinite(self.sigma).all()
 
     # -- snapshots ---------------------------------------------------------------------------------------------------
 

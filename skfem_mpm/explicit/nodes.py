@@ -34,6 +34,8 @@ class Nodes:
         The part of the mesh around the body.
     mass
         ``(nnodes,)``; lumped mass of active nodes, zero elsewhere.
+    lumped
+        ``(nnodes,)``; lumped mass as points share it, before planes and light nodes hand theirs on.
     active
         ``(nnodes,)``; which nodes have an equation of motion.
     fixed
@@ -51,7 +53,8 @@ class Nodes:
         self.mapping = self._operators(method.mass, None)
         self.mirrors = [mirror for plane in planes for mirror in mirrors(grid, plane)]
         self.fixed = np.any([plane.fixes(grid) for plane in planes] or [np.zeros((grid.dim, grid.nnodes))], axis=0)
-        total = self.fold(self.mapping.to_nodes(mass[None]), signed=False)[0]
+        self.lumped = self.mapping.to_nodes(mass[None])[0]
+        total = self.fold(self.lumped[None].copy(), signed=False)[0]
         self.active = self._carries(total)
         self._lighten(method.mass.reads_domains)
         self.mass = self.collect(total[None])[0]

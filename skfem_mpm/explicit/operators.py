@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from functools import cached_property, reduce
+from collections.abc import Iterable
+from functools import cached_property
 
 import numpy as np
 from numpy import ndarray
 from scipy.sparse import csr_array
 
-from ..grid import Stencil
+from ..grid import Stencil, chunks, outer
 from ..kinematics import Kinematics
 
 
@@ -34,29 +35,48 @@ class Operators:
         self.hoop = kinematics.hoop
 
     @cached_property
-    def _places(self) -> tuple[ndarray, ndarray]:
-        """Nodes of all points, one point after the other, and where each point starts."""
-        nodes = self.stencil.nodes()
-        return (np.ascontiguousarray(nodes.T, dtype=np.int32).ravel(),
-                np.arange(0, nodes.size + 1, len(nodes), dtype=np.int32))
+    def places(self) -> ndarray:
+        """Nodes of each point, ``(n, K**dim)``."""
+        out = np.empty((self.stencil.n, self.stencil.w.shape[2] ** self.dim), dtype=np.int32)
+        for part in chunks(self.stencil.n):
+            self.stencil.nodes(part, out=out[part].T)
+        return out
 
-    def matrix(self, slope: int = -1) -> csr_array:
-        """Values at the points of nodal numbers, or their slopes along an axis, ``(n, nnodes)``."""
-        factors = [self.stencil.w[k, int(k == slope)].T for k in range(self.dim)]
-        table = reduce(lambda a, b: (a[:, :, None] * b[:, None]).reshape(len(a), -1), factors)
-        nodes, starts = self._places
-        return csr_array((np.ascontiguousarray(table).ravel(), nodes, starts),
-                         shape=(self.stencil.n, int(np.prod(self.stencil.shape))))
+    @cached_property
+    def _starts(self) -> ndarray:
+        return np.arange(0, self.places.size + 1, self.places.shape[1], dtype=np.int32)
+
+    def _matrices(self, slopes: Iterable[int]) -> list[csr_array]:
+        """Slopes along these axes at the points, from nodal numbers, ``(n, nnodes)``; values for the axis -1."""
+        w, dim, nnodes = self.stencil.w, self.dim, int(np.prod(self.stencil.shape))
+        tables = {axis: np.empty(self.places.shape) for axis in slopes}
+        for part in chunks(self.stencil.n):
+            for axis, table in tables.items():
+                outer([w[k, int(k == axis), :, part] for k in range(dim)], out=table[part].T)
+        return [csr_array((table.ravel(), self.places.ravel(), self._starts), shape=(self.stencil.n, nnodes))
+                for table in tables.values()]
 
     @cached_property
     def value(self) -> csr_array:
         """:math:`N`."""
-        return self.matrix()
+        return self._matrices([-1])[0]
 
     @cached_property
     def slopes(self) -> list[csr_array]:
         r""":math:`\partial_l N` for each axis."""
-        return [self.matrix(k) for k in range(self.dim)]
+        return self._matrices(range(self.dim))
+
+    @cached_property
+    def tables(self) -> list[ndarray]:
+        """What a gradient is made of, ``(n, K**dim)`` each: slopes along the axes, then value over radius if needed."""
+        tables = [matrix.data.reshape(self.places.shape) for matrix in self.slopes]
+        return tables + ([self.value.data.reshape(self.places.shape) / self.radius[:, None]] if self.hoop else [])
+
+    @property
+    def terms(self) -> list[list[tuple[int, int]]]:
+        """For each component the gradient rows it takes part in, and through which table."""
+        place = [(0, self.dim) if self.hoop and q == self.dim ** 2 else ij for q, ij in enumerate(self.rows)]
+        return [[(q, l) for q, (component, l) in enumerate(place) if component == i] for i in range(self.dim)]
 
     def to_nodes(self, amounts: ndarray) -> ndarray:
         """Share point amounts ``(k, n)`` among the nodes."""
@@ -69,7 +89,7 @@ class Operators:
     def gradient(self, nodal: ndarray) -> ndarray:
         r""":math:`G u`: one row per gradient row."""
         rows = [self.slopes[j] @ nodal[i] for i, j in self.rows[:self.dim ** 2]]
-        return np.stack(rows + [self.value @ nodal[0] / self.radius] * self.hoop)
+        return np.stack(rows + ([self.value @ nodal[0] / self.radius] if self.hoop else []))
 
     def force(self, stress: ndarray) -> ndarray:
         r""":math:`L (V \sigma)`: nodal force from stress times volume, one row per gradient row."""

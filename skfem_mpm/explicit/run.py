@@ -126,7 +126,7 @@ class Run:
         force = -nodes.force.force(self.volume * stress)
         gravity = self._gravity()
         if gravity is not None:
-            force += gravity[:, None] * nodes.mapping.to_nodes(self.mass[None])
+            force += gravity[:, None] * nodes.lumped
         force = nodes.gather(force)
         force[nodes.fixed] = 0
         if self.choices.damping:
@@ -142,24 +142,23 @@ class Run:
         """Points take on the change of the grid's velocity; how far they move with it, ``(dim, n)``."""
         mapping, choices = nodes.mapping, self.choices
         moving = mapping.to_points(after)
-        gained = moving - mapping.to_points(before)
         gravity = self._gravity()
         if gravity is not None:
-            self.work["external"] += float(gravity @ (moving - gained / 2) @ self.mass * self.dt)
+            self.work["external"] += float(gravity @ (before + after) @ nodes.lumped * self.dt / 2)
         own = self.velocity
         if choices.xpic:
             unseen = own
             for _ in range(choices.xpic):
                 unseen = unseen - mapping.to_points(nodes.velocity(nodes.gather(mapping.to_nodes(self.mass * unseen))))
             own = own - unseen
-        self.velocity = choices.flip * (own + gained) + (1 - choices.flip) * moving
+        self.velocity = choices.flip * own + mapping.to_points(after - choices.flip * before)
         if self.slope is not None:
             self.slope = mapping.gradient(after)[:self.dim ** 2]
         self._check_finite("velocity")
         return self.dt * moving
 
     def _update_stress(self, nodes: Nodes, means: CellMeans | None, velocity: ndarray) -> None:
-        gradient = self.dt * nodes.strain.gradient(velocity)
+        gradient = nodes.strain.gradient(self.dt * velocity)
         self._respond(means.smooth(gradient) if means else gradient)
 
     def _motion(self) -> Any:
@@ -191,9 +190,10 @@ class Run:
         """Find the stable time step of this layout."""
         zero = np.zeros_like(self.sigma)
         moduli = self.material.tangent(zero, zero, self.history, self.kinematics.rows(self.dim))
+        volume = self.volume
         if self.material.kirchhoff:           # what is linear in strain is Cauchy stress times the volume ratio
-            moduli = moduli * np.exp(-self.epsilon[:3].sum(axis=0))
-        self._take_step(stable_step(nodes, moduli, self.volume, self.mass, self.remaps,
+            volume = volume * np.exp(-self.epsilon[:3].sum(axis=0))
+        self._take_step(stable_step(nodes, moduli, volume, self.mass, self.remaps,
                                     self.choices.integrator == "usl"))
 
     @property

@@ -69,18 +69,11 @@ class Sums:
 
     def classify(self, sums: ndarray, gravity: ndarray = NONE) -> None:
         """Tell active and light nodes by sums of mass and more; takes all of it to the active ones."""
-        window, tables = self.window, self.tables
-        n, occupied = window.nnodes, NOTHING
+        window, n = self.window, self.window.nnodes
         self.mass, self.active = sums, self.buffer("active", n, dtype=np.uint8)
         self.lights = self.buffer("lights", n, dtype=np.int64)
-        if tables.others:
-            occupied = self.buffer("occupied", n, dtype=np.uint8)
-        elif tables.edge.any():           # a point on a face sees nodes without mass by their slopes
-            occupied = self.buffer("occupied", n, dtype=np.uint8)
-            tables.mark(occupied)
         at_nodes.fold(sums, gravity, window.inside, window.outside, window.all_signs)
-        self.light = at_nodes.classify(sums, CUTOFF, window.around, occupied, window.corners, window.mirrored,
-                                       self.active, self.lights)
+        self.light = at_nodes.classify(sums, CUTOFF, window.around, self.active, self.lights)
         if self.light:
             at_nodes.collect(sums, self.active, self.lights, self.light, window.around)
 

@@ -68,7 +68,7 @@ class Tables:
         tiles = -(-n // TILE)
         self.limits, self.bad = np.zeros((tiles, 1 + 4 * dim)), np.zeros((tiles, 2), dtype=np.int64)
         self.rows, self.box = np.zeros((CHUNKS, 2), dtype=np.int64), np.full((2, dim), -1, dtype=np.int64)
-        self.edge, self.work = np.zeros(CHUNKS, dtype=np.int64), np.zeros(dim)
+        self.work = np.zeros(dim)
         self.fill = {ParticleBasis: self._fill_linear, GIMPBasis: self._fill_gimp, CMPMBasis: self._fill_cmpm}
         self.window: Any = None
 
@@ -83,7 +83,8 @@ class Tables:
         found = chunks.survey(self.limits, self.bad, self.knots, self.sizes, self.smallest, self.reach, self.box,
                               self.rows, self.work)
         if found & chunks.ELSEWHERE:
-            self.window = Window(self.grid, *self.box, self.planes, self.choices.edges)
+            self.window = Window(self.grid, self.box[0].copy(), self.box[1].copy(), self.planes,
+                                 self.choices.edges)
         return found
 
     @property
@@ -100,18 +101,14 @@ class Tables:
         if self.narrow:
             crew(stencils.place_gimp, x, self.length, 1 - self.alike, self.knots, self.inverse, mapping.base, mapping.w)
         elif self.quick:
-            crew(stencils.place_linear, x, self.knots, self.inverse, self.sizes, self.cell, mapping.w, self.edge)
+            crew(stencils.place_linear, x, self.knots, self.inverse, self.sizes, self.cell, mapping.w)
         if not self.quick and (not self.narrow or len(occupied)):
             crew(stencils.locate, x, self.knots, self.inverse, self.sizes, self.cell)
         if not self.quick and not self.narrow:
             self.fill[self.choices.method.mass](x, mapping, self.window.sides)
         if len(occupied):
-            self.mark(occupied)
-
-    def mark(self, occupied: ndarray) -> None:
-        """Mark occupied cells."""
-        occupied[:] = 0
-        self.crew(stencils.mark, self.cell, self.window.frame, occupied)
+            occupied[:] = 0
+            crew(stencils.mark, self.cell, self.window.frame, occupied)
 
     def place_others(self, x: ndarray, sides: ndarray) -> None:
         """The other stencils, which reach into available ``sides`` only."""
@@ -119,7 +116,7 @@ class Tables:
             self.fill[basis](x, self.by_basis[basis], sides)
 
     def _fill_linear(self, x: ndarray, table: Table, sides: ndarray) -> None:
-        self.crew(stencils.fill_linear, x, self.knots, self.inverse, self.cell, table.w, self.edge)
+        self.crew(stencils.fill_linear, x, self.knots, self.inverse, self.cell, table.w)
 
     def _fill_gimp(self, x: ndarray, table: Table, sides: ndarray) -> None:
         self.crew(stencils.fill_gimp_masked, x, self.length, self.knots, self.inverse, self.sizes, self.cell,

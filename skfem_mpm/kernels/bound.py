@@ -2,11 +2,11 @@ r"""Norms of the stiffness blocks of pairs of nodes, and the consistent mass: wh
 
 Twin of :mod:`skfem_mpm.explicit.bound` for isotropic elasticity in two and three dimensions.  A block is
 :math:`K_{IJ} = \lambda M + G (M^T + 1 \operatorname{tr} M)` with
-:math:`M = \sum_p V_p \nabla N_I \otimes \nabla N_J`.  Nodes are handled row by row along the first axis, so what a
-row sums stays in the cache.
+:math:`M = \sum_p V_p \nabla N_I \otimes \nabla N_J`.  Nodes are handled row by row along the first axis, so what
+a row sums stays in the cache.
 
-Tables ``(nnodes, (2 * reach + 1)**dim)`` have a slot for each node around a node.  Where the table is its own transpose,
-only those of nodes in the row of a node and in the rows after it are filled.
+Tables ``(nnodes, (2 * reach + 1)**dim)`` have a slot for each node around a node.  Where the table is its own
+transpose, only those of nodes in the row of a node and in the rows after it are filled.
 """
 
 from __future__ import annotations

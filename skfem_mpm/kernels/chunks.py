@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .options import CHUNKS, INLINE, OPTIONS, RANGES, SUMS, TILE
+from .options import CHUNKS, INLINE, OPTIONS, SUMS, TILE
 
 U = np.uint64
 NOT_FINITE, FAR, TURNED, OUTSIDE, ELSEWHERE = 1, 2, 4, 8, 16     # what a survey may find
@@ -63,22 +63,35 @@ def sum_bands(frame, copies, rows, out, c0, c1):
             flat[U(i)] += copy[U(i)]
 
 
-@njit(**RANGES)
+@njit(**INLINE)
 def _range(row, p0, p1):
-    low = high = row[U(p0)]
-    for q in range(U(p0), U(p1)):
-        here = row[q]
-        low, high = here if here < low else low, here if here > high else high
-    return low, high
+    """Lowest and highest number; four at a time, for processors take one after the other only if they must."""
+    a = b = c = d = e = f = g = h = row[U(p0)]
+    last = p0 + (p1 - p0) // 4 * 4
+    for q in range(p0, last, 4):
+        i, j, k, m = row[U(q)], row[U(q + 1)], row[U(q + 2)], row[U(q + 3)]
+        a, e = i if i < a else a, i if i > e else e
+        b, f = j if j < b else b, j if j > f else f
+        c, g = k if k < c else c, k if k > g else g
+        d, h = m if m < d else d, m if m > h else h
+    for q in range(last, p1):
+        i = row[U(q)]
+        a, e = i if i < a else a, i if i > e else e
+    return min(min(a, b), min(c, d)), max(max(e, f), max(g, h))
 
 
-@njit(**RANGES)
+@njit(**INLINE)
 def _furthest(row, other, p0, p1):
-    far = 0.0
-    for q in range(U(p0), U(p1)):
-        here = abs(other[q] - row[q])
-        far = here if here > far else far
-    return far
+    a = b = c = d = 0.0
+    last = p0 + (p1 - p0) // 4 * 4
+    for q in range(p0, last, 4):
+        i, j = abs(other[U(q)] - row[U(q)]), abs(other[U(q + 1)] - row[U(q + 1)])
+        k, m = abs(other[U(q + 2)] - row[U(q + 2)]), abs(other[U(q + 3)] - row[U(q + 3)])
+        a, b, c, d = i if i > a else a, j if j > b else b, k if k > c else c, m if m > d else d
+    for q in range(last, p1):
+        i = abs(other[U(q)] - row[U(q)])
+        a = i if i > a else a
+    return max(max(a, b), max(c, d))
 
 
 @njit(**SUMS)
@@ -105,7 +118,8 @@ def measure(x, ahead, v, limits, p0, p1):
 def measure_all(x, v, limits):
     """The same of points at rest, all tiles."""
     for tile in range(len(limits)):
-        limits[tile] = 0.0
+        for j in range(limits.shape[1]):
+            limits[tile, j] = 0.0
         measure(x, x, v, limits[tile], tile * TILE, min((tile + 1) * TILE, x.shape[1]))
 
 
@@ -122,6 +136,15 @@ def search(knots, k, cells, x):
     return low
 
 
+@njit(**INLINE)
+def _extent(limits, k, dim, t0, t1):
+    """Lowest and highest coordinate of the points of some tiles."""
+    low, high = limits[t0, 1 + dim + k], limits[t0, 1 + 2 * dim + k]
+    for tile in range(t0 + 1, t1):
+        low, high = min(low, limits[tile, 1 + dim + k]), max(high, limits[tile, 1 + 2 * dim + k])
+    return low, high
+
+
 @njit(**OPTIONS)
 def survey(limits, bad, knots, sizes, widths, reach, box, rows, work):
     """Sum up what was measured of the tiles after a step.
@@ -130,27 +153,27 @@ def survey(limits, bad, knots, sizes, widths, reach, box, rows, work):
     chunk may touch, ``work`` the sums of mass times mean velocity.  Returns what was found.
     """
     tiles, dim, found = len(limits), len(sizes), 0
-    work[:] = 0.0
-    low, high = limits[0, 1 + dim:1 + 2 * dim].copy(), limits[0, 1 + 2 * dim:1 + 3 * dim].copy()
     for tile in range(tiles):
-        row = limits[tile]
-        found |= NOT_FINITE * (row[0] != 0 or bad[tile, 1] != 0) | TURNED * (bad[tile, 0] != 0)
-        for k in range(dim):
-            work[k] += row[1 + k]
-            low[k], high[k] = min(low[k], row[1 + dim + k]), max(high[k], row[1 + 2 * dim + k])
-            found |= FAR * (not row[1 + 3 * dim + k] <= widths[k])
+        found |= NOT_FINITE * (limits[tile, 0] != 0 or bad[tile, 1] != 0) | TURNED * (bad[tile, 0] != 0)
     for k in range(dim):
-        found |= OUTSIDE * (not (low[k] >= knots[k, 1] and high[k] <= knots[k, sizes[k, 0] + 1]))
-    if found & ~TURNED:
+        work[k] = 0.0
+        for tile in range(tiles):
+            work[k] += limits[tile, 1 + k]
+            found |= FAR * (not limits[tile, 1 + 3 * dim + k] <= widths[k])
+        low, high = _extent(limits, k, dim, 0, tiles)
+        found |= OUTSIDE * (not (low >= knots[k, 1] and high <= knots[k, sizes[k, 0] + 1]))
+    if found:
         return found
     for k in range(dim):
-        first, last = search(knots, k, sizes[k, 0], low[k]), search(knots, k, sizes[k, 0], high[k])
+        low, high = _extent(limits, k, dim, 0, tiles)
+        first, last = search(knots, k, sizes[k, 0], low), search(knots, k, sizes[k, 0], high)
         found |= ELSEWHERE * (first != box[0, k] or last != box[1, k])
         box[0, k], box[1, k] = first, last
     for c in range(CHUNKS):
         t0, t1 = tiles * c // CHUNKS, tiles * (c + 1) // CHUNKS
-        rows[c] = box[0, 0]
+        rows[c, 0] = rows[c, 1] = box[0, 0]
         if t1 > t0:
-            rows[c, 0] = search(knots, 0, sizes[0, 0], limits[t0:t1, 1 + dim].min()) - reach
-            rows[c, 1] = search(knots, 0, sizes[0, 0], limits[t0:t1, 1 + 2 * dim].max()) + 2 + reach
+            low, high = _extent(limits, 0, dim, t0, t1)
+            rows[c, 0] = search(knots, 0, sizes[0, 0], low) - reach
+            rows[c, 1] = search(knots, 0, sizes[0, 0], high) + 2 + reach
     return found

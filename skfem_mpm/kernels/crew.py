@@ -23,6 +23,7 @@ class Crew:
         self.pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
 
     def __call__(self, kernel: Callable[..., None], *arguments: Any) -> None:
+        """Run a kernel on all chunks."""
         if self.pool is None:
             kernel(*arguments, 0, CHUNKS)
             return

@@ -21,21 +21,11 @@ def _fold(g, inside, outside, signs):
             g[outside[k], j] = 0.0
 
 
-@njit(**INLINE)
-def _held(occupied, corners, i):
-    """Whether a node belongs to an occupied cell."""
-    for corner in corners:
-        if i >= corner and occupied[i - corner]:
-            return True
-    return False
-
-
 @njit(**OPTIONS)
-def classify(g, cutoff, offsets, occupied, corners, mirrored, active, lights):
-    """Active nodes by their folded mass, and the light ones: nodes that points may read and that are not active.
+def classify(g, cutoff, offsets, active, lights):
+    """Active nodes by their folded mass, and the light ones: those with mass that are not active.
 
-    A node is active if it has more mass than the share ``cutoff`` of the largest one, on the grid or around it.  Those
-    without mass are light if they belong to an ``occupied`` cell; no need to look if there is no such mask.
+    A node is active if it has more mass than the share ``cutoff`` of the largest one, on the grid or around it.
     """
     largest, count = 0.0, 0
     for i in range(len(g)):
@@ -44,15 +34,13 @@ def classify(g, cutoff, offsets, occupied, corners, mirrored, active, lights):
     for i in range(len(g)):
         mass = g[U(i), 0]
         active[U(i)] = mass > least
-        if not mass > least:
-            if mass > 0:
-                near = 0.0
-                for offset in offsets:
-                    near = max(near, g[i + offset, 0])
-                active[i] = mass > cutoff * near
-            if not active[i] and (mass > 0 or (len(occupied) and _held(occupied, corners, i) and not mirrored[i])):
-                lights[count] = i
-                count += 1
+        if mass > 0 and not mass > least:
+            near = 0.0
+            for offset in offsets:
+                near = max(near, g[i + offset, 0])
+            active[i] = mass > cutoff * near
+            lights[count] = i
+            count += not mass > cutoff * near
     return count
 
 
@@ -170,15 +158,15 @@ def available_sides(occupied, active, corners, faces, diagonals, usable, dropped
     for k in range(len(corners)):
         step = corners[k]
         for i in range(n0, n1):
-            usable[i] &= active[i + step]
+            usable[U(i)] &= active[U(i + step)]
     for k in range(len(faces)):
-        step, bit = faces[k], np.uint8(k)
+        step, bit = faces[k], np.uint8(1 << k)
         for i in range(n0, n1):
-            sides[i] |= usable[i + step] << bit
+            sides[U(i)] |= np.uint8(usable[U(i + step)] * bit)
     for k in range(len(diagonals)):
         step, involved = diagonals[k, 0], np.uint8(diagonals[k, 1])
         for i in range(n0, n1):
-            missing = np.uint8((sides[i] & involved) == involved) & (usable[i + step] ^ np.uint8(1))
-            dropped[i] |= involved * missing
+            missing = np.uint8((sides[U(i)] & involved) == involved) & (usable[U(i + step)] ^ np.uint8(1))
+            dropped[U(i)] |= np.uint8(involved * missing)
     for i in range(n0, n1):
-        sides[i] &= ~dropped[i]
+        sides[U(i)] &= ~dropped[U(i)]

@@ -15,6 +15,10 @@ from .chunks import cut, search
 from .options import INLINE, OPTIONS, TILE
 
 U = np.uint64
+# The least value of a linear function: a point on a face gives the far nodes, which it sees by their slopes, a mass
+# that is next to nothing but not nothing.  So nodes that are read have mass; products of three stay above zero too.
+LEAST = 2.0 ** -200
+BLOCK = 64       # points of which few enough are near the surface for most blocks to be inside
 
 
 @njit(**INLINE)
@@ -55,51 +59,43 @@ def locate(x, knots, inverse, sizes, cell, c0, c1):
 
 
 @njit(**OPTIONS)
-def place_linear(x, knots, inverse, sizes, cell, w, edge, c0, c1):
-    """Cells and finite element functions on equal cells; ``edge (CHUNKS,)`` says who has points on faces."""
+def place_linear(x, knots, inverse, sizes, cell, w, c0, c1):
+    """Cells and finite element functions on equal cells."""
     n = x.shape[1]
-    for c in range(c0, c1):
-        on = 0
-        for t in range(cut(n, c), cut(n, c + 1), TILE):
-            for k in range(x.shape[0]):
-                axis, first, scale, last = knots[k], knots[k, 1], inverse[k, 1], sizes[k, 0] - 1
-                for q in range(t, min(t + TILE, n)):
-                    p = U(q)
-                    here = x[k, p]
-                    i = np.int64((here - first) * scale)
-                    i -= np.int64(here < axis[U(i + 1)])
-                    i += np.int64(here >= axis[U(i + 2)])
-                    i = last if i > last else i
-                    cell[p, k] = i
-                    at = (here - axis[U(i + 1)]) * scale
-                    rest = 1 - at
-                    on |= np.int64(at * rest == 0)
-                    w[p, k, 0, 0] = rest
-                    w[p, k, 0, 1] = at
-                    w[p, k, 1, 0] = -scale
-                    w[p, k, 1, 1] = scale
-        edge[c] = on
+    for t in range(cut(n, c0), cut(n, c1), TILE):
+        for k in range(x.shape[0]):
+            axis, first, scale, last = knots[k], knots[k, 1], inverse[k, 1], sizes[k, 0] - 1
+            for q in range(t, min(t + TILE, n)):
+                p = U(q)
+                here = x[k, p]
+                i = np.int64((here - first) * scale)
+                i -= np.int64(here < axis[U(i + 1)])
+                i += np.int64(here >= axis[U(i + 2)])
+                i = last if i > last else i
+                cell[p, k] = i
+                at = (here - axis[U(i + 1)]) * scale
+                rest = 1 - at
+                w[p, k, 0, 0] = rest if rest > LEAST else LEAST
+                w[p, k, 0, 1] = at if at > LEAST else LEAST
+                w[p, k, 1, 0] = -scale
+                w[p, k, 1, 1] = scale
 
 
 @njit(**OPTIONS)
-def fill_linear(x, knots, inverse, cell, w, edge, c0, c1):
+def fill_linear(x, knots, inverse, cell, w, c0, c1):
     """Finite element functions of points whose cells are known; the first node is that of the cell."""
     n = x.shape[1]
-    for c in range(c0, c1):
-        on = 0
-        for k in range(x.shape[0]):
-            for q in range(cut(n, c), cut(n, c + 1)):
-                p = U(q)
-                i = U(cell[p, k])
-                scale = inverse[k, i + U(1)]
-                at = (x[k, p] - knots[k, i + U(1)]) * scale
-                rest = 1 - at
-                on |= np.int64(at * rest == 0)
-                w[p, k, 0, 0] = rest
-                w[p, k, 0, 1] = at
-                w[p, k, 1, 0] = -scale
-                w[p, k, 1, 1] = scale
-        edge[c] = on
+    for k in range(x.shape[0]):
+        for q in range(cut(n, c0), cut(n, c1)):
+            p = U(q)
+            i = U(cell[p, k])
+            scale = inverse[k, i + U(1)]
+            at = (x[k, p] - knots[k, i + U(1)]) * scale
+            rest = 1 - at
+            w[p, k, 0, 0] = rest if rest > LEAST else LEAST
+            w[p, k, 0, 1] = at if at > LEAST else LEAST
+            w[p, k, 1, 0] = -scale
+            w[p, k, 1, 1] = scale
 
 
 @njit(**OPTIONS)
@@ -161,21 +157,55 @@ def fill_gimp_masked(x, length, knots, inverse, sizes, cell, frame, sides, base,
             w[p, k, 1, 3] = share2 * inverse[k, c + 2] * last
 
 
+@njit(**INLINE)
+def _cubic(at, scale, w, p, k):
+    """All four polynomials where both neighbours are there and cells are equal, Eq. (8)."""
+    u, s, r = 1 - at, 1 + at, 2 - at
+    w[p, k, 0, 0] = -at * u * r / 6
+    w[p, k, 0, 1] = s * u * r / 2
+    w[p, k, 0, 2] = s * at * r / 2
+    w[p, k, 0, 3] = -s * at * u / 6
+    w[p, k, 1, 0] = -(3 * at * at - 6 * at + 2) / 6 * scale
+    w[p, k, 1, 1] = (3 * at * at - 4 * at - 1) / 2 * scale
+    w[p, k, 1, 2] = -(3 * at * at - 2 * at - 2) / 2 * scale
+    w[p, k, 1, 3] = (3 * at * at - 1) / 6 * scale
+
+
+@njit(**INLINE)
+def _listed(flat, i, at, scale, w, p, k):
+    """Those of a table."""
+    for j in range(4):
+        a1, a2, a3 = flat[i + U(1), j], flat[i + U(2), j], flat[i + U(3), j]
+        w[p, k, 0, j] = flat[i, j] + at * (a1 + at * (a2 + at * a3))
+        w[p, k, 1, j] = (a1 + at * (2 * a2 + at * (3 * a3))) * scale
+
+
 @njit(**OPTIONS)
 def fill_cmpm(x, knots, inverse, sizes, cell, frame, sides, table, base, w, c0, c1):
-    """CMPM from the polynomials of :func:`~skfem_mpm.kernels.axes.cmpm_table`."""
-    n, rows, flat = x.shape[1], table.shape[1], table.reshape(-1, 4)
-    for t in range(cut(n, c0), cut(n, c1), TILE):
+    """CMPM; from the polynomials of :func:`~skfem_mpm.kernels.axes.cmpm_table` but inside, among equal cells."""
+    n, rows, flat, codes = x.shape[1], table.shape[1], table.reshape(-1, 4), np.empty(BLOCK, dtype=np.uint8)
+    for t in range(cut(n, c0), cut(n, c1), BLOCK):
+        end = min(t + BLOCK, n)
+        for q in range(t, end):
+            codes[U(q - t)] = sides[number(cell, frame, U(q))]
         for k in range(x.shape[0]):
-            axis, each = knots[k], rows * (1 - sizes[k, 1])
-            for q in range(t, min(t + TILE, n)):
+            axis, equal, inner = knots[k], sizes[k, 1], True
+            for q in range(t, end):
+                inner &= codes[U(q - t)] >> (2 * k) & 3 == 3
+            if equal and inner:
+                scale = inverse[k, 1]
+                for q in range(t, end):
+                    p = U(q)
+                    base[p, k] = cell[p, k] - 1
+                    _cubic((x[k, p] - axis[U(cell[p, k] + 1)]) * scale, scale, w, p, k)
+                continue
+            for q in range(t, end):
                 p = U(q)
-                code, c = np.int64(sides[number(cell, frame, p)]), np.int64(cell[p, k])
+                kind, c = np.int64(codes[U(q - t)] >> (2 * k) & 3), np.int64(cell[p, k])
                 base[p, k] = c - 1
                 scale = inverse[k, U(c + 1)]
                 at = (x[k, p] - axis[U(c + 1)]) * scale
-                i = U(((k * rows + (c if each else 0)) * 4 + (code >> (2 * k) & 3)) * 4)
-                for j in range(4):
-                    a1, a2, a3 = flat[i + U(1), j], flat[i + U(2), j], flat[i + U(3), j]
-                    w[p, k, 0, j] = flat[i, j] + at * (a1 + at * (a2 + at * a3))
-                    w[p, k, 1, j] = (a1 + at * (2 * a2 + at * (3 * a3))) * scale
+                if equal and kind == 3:
+                    _cubic(at, scale, w, p, k)
+                else:
+                    _listed(flat, U(((k * rows + (0 if equal else c)) * 4 + kind) * 4), at, scale, w, p, k)

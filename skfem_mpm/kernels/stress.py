@@ -9,18 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .chunks import finite
 from .options import INLINE, SUMS
 
 U = np.uint64
-
-
-@njit(**INLINE)
-def _check(sigma, p0, p1):
-    total = 0.0
-    for i in range(len(sigma)):
-        total += finite(sigma[i], p0, p1)
-    return total != 0
 
 
 @njit(**INLINE)
@@ -75,7 +66,7 @@ def turn1(sigma, grad, first, volume, hoop, bad, p0, p1):
             ratio = _with_hoop(ratio, 1 + grad[1, g])
             grad[2, g], grad[1, g], grad[3, g] = grad[1, g], 0.0, 0.0
         volume[p] *= ratio
-        inverted += not ratio > 0
+        inverted += np.int64(not ratio > 0)
     bad[0] = inverted
 
 
@@ -91,7 +82,7 @@ def turn2(sigma, grad, first, volume, hoop, bad, p0, p1):
         ratio = _with_hoop(ratio, 1 + grad[4, g]) if hoop else ratio
         grad[1, g], grad[2, g], grad[3, g] = yy, grad[4, g] if hoop else 0.0, (xy + yx) / 2
         volume[p] *= ratio
-        inverted += not ratio > 0
+        inverted += np.int64(not ratio > 0)
     bad[0] = inverted
 
 
@@ -111,33 +102,35 @@ def turn3(sigma, grad, first, volume, hoop, bad, p0, p1):
         grad[0, g], grad[1, g], grad[2, g] = xx, yy, zz
         grad[3, g], grad[4, g], grad[5, g] = (xy + yx) / 2, (yz + zy) / 2, (xz + zx) / 2
         volume[p] *= ratio
-        inverted += not ratio > 0
+        inverted += np.int64(not ratio > 0)
     bad[0] = inverted
 
 
 @njit(**INLINE)
 def elastic1(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
     """Linear elasticity of the Jaumann rate in one dimension."""
-    inverted = 0
+    inverted = wrong = 0
     for q in range(p0, p1):
         p, g = U(q), U(q - first)
         slope = grad[0, g]
         ring = grad[1, g] if hoop else 0.0
         ratio = _with_hoop(1 + slope, 1 + ring) if hoop else 1 + slope
         part = lam * (slope + ring)
-        sigma[0, p] += twice * slope + part
+        after = sigma[0, p] + (twice * slope + part)
+        sigma[0, p] = after
+        wrong += np.int64(after * 0.0 != 0.0)
         if hoop:
             sigma[1, p] += part
             sigma[2, p] += twice * ring + part
         volume[p] *= ratio
-        inverted += not ratio > 0
-    bad[0], bad[1] = inverted, _check(sigma, p0, p1)
+        inverted += np.int64(not ratio > 0)
+    bad[0], bad[1] = inverted, wrong
 
 
 @njit(**INLINE)
 def elastic2(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
     """The same in two dimensions."""
-    inverted = 0
+    inverted = wrong = 0
     for q in range(p0, p1):
         p, g = U(q), U(q - first)
         xx, xy, yx, yy = grad[0, g], grad[1, g], grad[2, g], grad[3, g]
@@ -146,18 +139,19 @@ def elastic2(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
         ratio = (1 + xx) * (1 + yy) - xy * yx
         ratio = _with_hoop(ratio, 1 + ring) if hoop else ratio
         part = lam * (xx + yy + ring)
-        sigma[0, p], sigma[1, p] = sxx + (twice * xx + part), syy + (twice * yy + part)
-        sigma[2, p] += twice * ring + part
-        sigma[3, p] = sxy + twice * ((xy + yx) / 2)
+        s0, s1 = sxx + (twice * xx + part), syy + (twice * yy + part)
+        s2, s3 = sigma[2, p] + (twice * ring + part), sxy + twice * ((xy + yx) / 2)
+        sigma[0, p], sigma[1, p], sigma[2, p], sigma[3, p] = s0, s1, s2, s3
+        wrong += np.int64((s0 + s1 + s2 + s3) * 0.0 != 0.0)
         volume[p] *= ratio
-        inverted += not ratio > 0
-    bad[0], bad[1] = inverted, _check(sigma, p0, p1)
+        inverted += np.int64(not ratio > 0)
+    bad[0], bad[1] = inverted, wrong
 
 
 @njit(**INLINE)
 def elastic3(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
     """The same in three dimensions."""
-    inverted = 0
+    inverted = wrong = 0
     for q in range(p0, p1):
         p, g = U(q), U(q - first)
         xx, xy, xz = grad[0, g], grad[1, g], grad[2, g]
@@ -166,13 +160,15 @@ def elastic3(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
         s0, s1, s2, s3, s4, s5 = _spin3(xy - yx, yz - zy, xz - zx, sigma[0, p], sigma[1, p], sigma[2, p], sigma[3, p],
                                         sigma[4, p], sigma[5, p])
         part = lam * (xx + yy + zz)
-        sigma[0, p], sigma[1, p] = s0 + (twice * xx + part), s1 + (twice * yy + part)
-        sigma[2, p], sigma[3, p] = s2 + (twice * zz + part), s3 + twice * ((xy + yx) / 2)
-        sigma[4, p], sigma[5, p] = s4 + twice * ((yz + zy) / 2), s5 + twice * ((xz + zx) / 2)
+        s0, s1, s2 = s0 + (twice * xx + part), s1 + (twice * yy + part), s2 + (twice * zz + part)
+        s3, s4 = s3 + twice * ((xy + yx) / 2), s4 + twice * ((yz + zy) / 2)
+        s5 += twice * ((xz + zx) / 2)
+        sigma[0, p], sigma[1, p], sigma[2, p], sigma[3, p], sigma[4, p], sigma[5, p] = s0, s1, s2, s3, s4, s5
+        wrong += np.int64((s0 + s1 + s2 + s3 + s4 + s5) * 0.0 != 0.0)
         ratio = _ratio3(xx, xy, xz, yx, yy, yz, zx, zy, zz)
         volume[p] *= ratio
-        inverted += not ratio > 0
-    bad[0], bad[1] = inverted, _check(sigma, p0, p1)
+        inverted += np.int64(not ratio > 0)
+    bad[0], bad[1] = inverted, wrong
 
 
 @njit(**INLINE)
@@ -186,6 +182,7 @@ def _slip(q, cohesion, shear, residual, softening):
 def von_mises(strain, first, sigma, eps_p, volume, constants, bad, rows, p0, p1):
     """Closed-form return; leaves the energy that plastic flow takes in the first row of ``strain``."""
     lam, shear, peak, residual, softening = constants
+    wrong = 0
     for k in range(p0, p1):
         p, g = U(k), U(k - first)
         part = lam * (strain[0, g] + strain[1, g] + strain[2, g])
@@ -211,7 +208,8 @@ def von_mises(strain, first, sigma, eps_p, volume, constants, bad, rows, p0, p1)
         eps_p[0, p] = after
         cohesion = (before + max(residual, peak + softening * after)) / 2
         strain[0, g] = np.sqrt(3.0) * cohesion * slip * volume[p] if slip > 0 else 0.0
-    bad[1] = _check(sigma, p0, p1)
+        wrong += np.int64((square + mean) * 0.0 != 0.0)
+    bad[1] = wrong
 
 
 @njit(**SUMS)

@@ -13,6 +13,7 @@ U = np.uint64
 
 @njit(**OPTIONS)
 def p2g(base, w, m, v, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0, c1):
+    """Mass, momentum and internal force."""
     n, start, end = len(m), 0, 0
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
@@ -38,6 +39,7 @@ def p2g(base, w, m, v, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0,
 
 @njit(**OPTIONS)
 def p2g_mass(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
+    """Mass and momentum."""
     n, start, end = len(m), 0, 0
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
@@ -60,6 +62,7 @@ def p2g_mass(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
 
 @njit(**OPTIONS)
 def p2g_momentum(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
+    """Momentum alone."""
     n, start, end = len(m), 0, 0
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
@@ -79,6 +82,7 @@ def p2g_momentum(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
 
 @njit(**OPTIONS)
 def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
+    """Momentum of velocity gradients."""
     n, start, end = len(m), 0, 0
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
@@ -98,6 +102,7 @@ def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
 
 @njit(**OPTIONS)
 def p2g_force(base, w, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0, c1):
+    """Internal force."""
     n, start, end = len(volume), 0, 0
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
@@ -119,6 +124,7 @@ def p2g_force(base, w, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0,
 
 @njit(**OPTIONS)
 def interpolate(base, w, nodal, frame, out, kt, c0, c1):
+    """Nodal vectors at the points."""
     n = out.shape[1]
     for q in range(cut(n, c0), cut(n, c1)):
         p = U(q)
@@ -131,6 +137,7 @@ def interpolate(base, w, nodal, frame, out, kt, c0, c1):
 
 @njit(**INLINE)
 def move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, first, limits, kt, p0, p1):
+    """New velocities and positions of a tile; its displacement gradient too if there is room for it."""
     work = 0.0
     for q in range(p0, p1):
         p, at = U(q), U(q - first)
@@ -154,6 +161,7 @@ def move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, first, lim
 
 @njit(**OPTIONS)
 def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, c0, c1):
+    """Move points with the grid."""
     n, none = len(m), np.empty((0, 0))
     for t in range(cut(n, c0), cut(n, c1), TILE):
         move(base, w, nodal, frame, m, x, ahead, v, flip, dt, False, none, 0, limits[t // TILE], kt, t,
@@ -162,6 +170,7 @@ def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, c0, c1):
 
 @njit(**INLINE)
 def slopes(base, w, nodal, frame, x, dt, hoop, grad, first, kt, p0, p1):
+    """Displacement gradient of a tile over a step."""
     for q in range(p0, p1):
         p, at = U(q), U(q - first)
         node = U(base[p, 0] - frame[0, 0])
@@ -176,5 +185,6 @@ def slopes(base, w, nodal, frame, x, dt, hoop, grad, first, kt, p0, p1):
 
 @njit(**OPTIONS)
 def gradient(base, w, nodal, frame, x, dt, hoop, grad, kt, c0, c1):
+    """Displacement gradient of all points over a step."""
     n = x.shape[1]
     slopes(base, w, nodal, frame, x, dt, hoop, grad, 0, kt, cut(n, c0), cut(n, c1))

@@ -1,10 +1,10 @@
 """Mapping to the grid and back in two dimensions.
 
 ``base (n, dim)`` and ``w (n, dim, 2, K)`` are stencils, ``kt`` a tuple of length K, ``frame`` first node and stride of
-the window of nodes per axis.  ``rows`` holds the nodes along the first axis that each chunk may touch.  Points are added
-to ``copies``: a grid for each chunk, to be summed after; or if there is only one, as is best for one thread, the band of
-one chunk after the other, poured into ``out`` at once.  ``nodal`` holds the velocity of nodes after the step and its
-change.
+the window of nodes per axis.  ``rows`` holds the nodes along the first axis that each chunk may touch.  Points are
+added to ``copies``: a grid for each chunk, to be summed after; or if there is only one, as is best for one thread, the
+band of one chunk after the other, poured into ``out`` at once.  ``nodal`` holds the velocity of nodes after the
+step and its change.
 """
 
 from __future__ import annotations
