@@ -51,9 +51,9 @@ parser.add_argument("--quick", action="store_true", help="fewer shifts, a smalle
 parser.add_argument("--out", type=Path, default=Path("results/flutter"), help="where pictures and tables go")
 options = parser.parse_args()
 options.out.mkdir(parents=True, exist_ok=True)
-shifts = {1: np.linspace(0, 1, 11 if options.quick else 101), 2: np.linspace(0, 1, 5 if options.quick else 41)}
+shifts = {1: np.linspace(0, 1, 13 if options.quick else 41), 2: np.linspace(0, 1, 5 if options.quick else 41)}
 seeds, waves = (1, 12) if options.quick else (10, 24)
-cells, steps, every, passes = (4, 200, 10, 4) if options.quick else (10, 50_000, 20, 100)
+cells, steps, every, passes = (4, 200, 10, 4) if options.quick else (10, 50_000, 25, 60)
 # In the full run steps are so many that numba pays far below the size from which `auto` takes it.
 engine = "numba" if importlib.util.find_spec("numba") and not options.quick else "auto"
 
@@ -160,7 +160,7 @@ shown = list(CASES)[-1]
 def block_of(case, size=cells):
     """A block that rings in its lowest modes, with a tenth of random velocities on top."""
     shift = SHIFT[case]
-    mesh, body = body_of(2, size, shift, room=0 if case == STAY else 32)
+    mesh, body = body_of(2, size, shift, room=0 if case == STAY else 40)
     noise = np.random.default_rng(7).uniform(-1, 1, body.x.shape)
     wave = np.cos(np.pi * (body.x - shift) / size) + 0.1 * noise
     wave -= wave.mean(axis=1, keepdims=True)
@@ -189,7 +189,7 @@ def energies(case, method, **choices):
 
 runs = {(case, method): energies(case, method) for case in CASES for method in tqdm(METHODS, desc=case, leave=False)}
 if not options.quick:
-    runs |= {(HALVED, method): energies(DRIFT, method, safety=0.4) for method in SYMMETRIC}
+    runs |= {(HALVED, method): energies(DRIFT, method, safety=0.4) for method in ("mpm", "cmpm-c")}
 write("energy.csv", [{"case": case, "method": method, "step": int(step), "time": time, "energy": energy,
                       "stopped": stopped or ""}
                      for (case, method), (found, stopped) in runs.items() for step, time, energy in found
@@ -218,7 +218,7 @@ def growth_of_step(method, choices):
         taken.append((np.log(size), state.time))
         points = state.particles
         body = replace(start, velocity=points.velocity / size, sigma=points.sigma / size)
-    logs, times = np.transpose(taken[passes // 2:])
+    logs, times = np.transpose(taken[2 * passes // 3:])
     return logs.sum() / times.sum()
 
 
@@ -302,7 +302,7 @@ for case in dict.fromkeys(case for case, _ in runs):
         till = f"stopped at step {stopped}" if stopped else f"step {int(found[-1, 0])}"
         common = "" if stopped else f"; at t = {end:.0f} h/c {np.interp(end, *found[:, 1:].T):.4f}"
         print(f"  {method:8} {found[-1, 2]:8.4f} at the end, {found[:, 2].max():8.4f} at most, {till}{common}")
-print("\nRemedies: growth of the real step in a frozen block of 6 x 6 cells shifted by 0.24 h [c/h], and the free block:")
+print("\nRemedies: growth of the real step, block of 6 x 6 cells frozen at a shift of 0.24 h [c/h]; and a free block:")
 for row in remedies:
     end = "stopped at step" if row["stopped"] else f"energy {row['energy']:.3g} after step"
     print(f"  {row['method']:8}{row['choices']:30}{row['growth']:10.4f}   {end} {row['steps']}")

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from scipy.spatial import cKDTree
 from skfem import Element, ElementHex1, ElementLineP1, ElementQuad1, ElementTetP1, ElementTriP1, Mesh
 from skfem.helpers import det, inv
 
@@ -252,8 +251,10 @@ class CellLocator:
                                 "use a larger mesh or a smaller step.")
 
     @cached_property
-    def _tree(self) -> cKDTree:
+    def _tree(self) -> Any:
         """The centroids, for the nearest ones."""
+        from scipy.spatial import cKDTree  # slow to import, and only needed on unstructured meshes
+
         return cKDTree(self.mesh.p[:, self.mesh.t].mean(axis=1).T)
 
     @cached_property

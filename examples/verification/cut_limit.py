@@ -6,17 +6,17 @@ kinetic energy passes 1 % of the work that gravity has done.  Limit analysis enc
 3.7752 and 3.7776 (Kammoun, Pastor, Smaoui and Pastor 2010, doi 10.1002/nag.887); a rigid base at the toe may raise it a
 little, to 3.83 at most, the circle through the toe.  Linear functions with 2 x 2 points in a cell hardly flow at
 constant volume, which delays failure; remedy="bbar" gives the points of a cell one volume strain.  What is left goes
-with the size of cells, which is therefore taken to zero in a straight line from the last two grids, and with gravity
-that still grows while the cut gathers speed.  Writes, under results/verification/cut_limit/ or --out, cut_limit.csv,
-cut_limit.png.
+with the size of cells, which is therefore also taken to zero in a straight line from the last two grids, and with
+gravity that still grows while the cut gathers speed: the curve of the kinetic energy bends upwards earlier than it
+passes 1 %.  Only methods that do not flutter can be judged by their kinetic energy.  Writes, under
+results/verification/cut_limit/ or --out, cut_limit.csv, cut_limit.png.  Takes a minute or two with numba.
 
-Width (1.5 m; 2 m give the same), stiffness, rate of gravity, grids and the 1 % are ours.
+Width (1.25 m; the mechanism reaches 1 m behind the face), stiffness, rate of gravity and grids are ours.
 """
 
 import argparse
 import csv
 import time
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,12 +30,10 @@ from tqdm import tqdm
 from skfem_mpm import VonMises
 from skfem_mpm.scenes import vertical_cut
 
-warnings.filterwarnings("ignore", message="the strain of this method is not conjugate")    # gc
 LOWER, UPPER, LAST = 3.7752, 3.7776, 5.0                # bounds of gamma H / c, and where gravity ends
 LIMIT = (LOWER + UPPER) / 2
 COHESION, SHARE = 6e3, 0.01
-COLOURS = {("gimp", "bbar"): "tab:blue", ("gimp", "none"): "tab:red", ("mpm", "bbar"): "grey", ("mpm", "none"): "k",
-           ("gc", "bbar"): "tab:purple"}
+COLOURS = {("gimp", "bbar"): "tab:blue", ("gimp", "none"): "tab:red"}
 
 # -- options ----------------------------------------------------------------------------------------------------------
 
@@ -45,23 +43,22 @@ parser.add_argument("--out", type=Path, default=Path("results/verification/cut_l
                     help="where pictures and tables go")
 options = parser.parse_args()
 options.out.mkdir(parents=True, exist_ok=True)
-transits = 100 if options.quick else 400                 # times a wave crosses the height while gravity grows
+transits = 100 if options.quick else 800                 # times a wave crosses the height while gravity grows
 RUNS = [("gimp", "bbar", 0.1), ("gimp", "none", 0.1)]
 if not options.quick:
-    RUNS += [("mpm", "bbar", 0.1), ("mpm", "none", 0.1), ("gimp", "bbar", 0.05), ("gimp", "none", 0.05),
-             ("gc", "bbar", 0.05), ("gimp", "bbar", 0.025)]
+    RUNS += [("gimp", "bbar", 0.05), ("gimp", "none", 0.05), ("gimp", "bbar", 0.025)]
 
 # -- runs -------------------------------------------------------------------------------------------------------------
 
 law = VonMises(E=1000 * COHESION, nu=0.35, peak=COHESION, residual=COHESION)
 rows, curves, band = [], {}, None
 for method, remedy, h in tqdm(RUNS, desc="cut_limit"):
-    scene = vertical_cut(h, base="rough", material=law, width=1.5, room=0.5)
+    scene = vertical_cut(h, base="rough", material=law, width=1.25, room=0.5)
     scene = replace(scene, gravity=(0.0, -LAST * COHESION / 2000.0))        # gamma H = LAST c at the end
     speed = np.sqrt((law.lam + 2 * law.G) / 2000.0)
     begin, ramp, failed = time.perf_counter(), transits / speed, np.nan
     curve = curves[method, remedy, h] = []
-    for state in scene.run(method, steps=10_000_000, every=40, ramp=ramp, remedy=remedy, safety=1.0):
+    for state in scene.run(method, steps=10_000_000, every=40, ramp=ramp, remedy=remedy, safety=1.0, threads=2):
         number, share = LAST * state.time / ramp, state.energy["kinetic"] / state.energy["external"]
         curve.append((number, share))
         if number > LAST / 2 and share > SHARE:         # before, gravity has hardly set in
@@ -89,7 +86,7 @@ left.set(xlabel="gamma H / c", ylabel="kinetic energy / work of gravity", ylim=(
 left.grid(alpha=0.3)
 left.legend(fontsize="small")
 h, points = band
-cloud = right.scatter(*points.x, c=1e3 * points.history[0], s=(h / 0.05) ** 2 * 20, marker="s",
+cloud = right.scatter(*points.x, c=1e3 * points.history[0], s=(h / 0.05) ** 2 * 45, marker="s", linewidths=0,
                       vmax=np.quantile(1e3 * points.history[0], 0.99))
 right.set(aspect="equal", title=f"plastic strain at failure (h = {h}), in thousandths")
 figure.colorbar(cloud, ax=right, shrink=0.7)

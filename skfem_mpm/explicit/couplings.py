@@ -11,13 +11,14 @@ from scipy.sparse import dia_array
 from ..grid import scatter_add
 from .operators import Operators
 
-ROOM = 2 ** 18      # numbers that are summed at once
+ROOM = 2 ** 17      # numbers that are summed at once
+MOST = 16           # points in a group, lest one crowded cell fill up the rows of all others
 
 
 class Couplings:
     r"""The sums :math:`\sum_p w_p\, a_I(x_p)\, b_J(x_p)` for nodes :math:`I` of one stencil and :math:`J` of another.
 
-    Points that see the same nodes form a group, and sums over a group are a product of small dense matrices.  As nodes
+    Points that see the same nodes form groups, and sums over a group are a product of small dense matrices.  As nodes
     only meet others within a fixed reach, the sums have their places in a table *node J x offset of node I*.
 
     Parameters
@@ -34,7 +35,9 @@ class Couplings:
         key = self.stride @ ours.base * self.nnodes + self.stride @ theirs.base
         self.order = np.argsort(key, kind="stable")
         key = key[self.order]
-        self.begin = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
+        fresh, number = np.append(True, key[1:] != key[:-1]), np.arange(len(key))
+        number -= np.maximum.accumulate(np.where(fresh, number, 0))
+        self.begin = np.flatnonzero(number % MOST == 0)
         self.count = np.diff(self.begin, append=len(key))
         first = self.order[self.begin]
         shift = (ours.base - theirs.base)[:, first]
@@ -58,7 +61,9 @@ class Couplings:
         size = max(1, ROOM // (self.pair.size * len(ours) * len(theirs)))
         for groups in (slice(start, start + size) for start in range(0, len(self.begin), size)):
             points, there = self._members(groups)
-            product = (left[points] * (weight[points] * there)[:, :, None]).transpose(0, 2, 1) @ right[points]
+            second = right[points]
+            first = second if left is right else left[points]
+            product = (first * (weight[points] * there)[:, :, None]).transpose(0, 2, 1) @ second
             product = product.reshape(len(points), len(ours), len(self.pair), len(theirs), -1)
             place = self.start[groups, None] + self.pair
             for a, b in itertools.product(range(len(ours)), range(len(theirs))):

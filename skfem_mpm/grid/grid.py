@@ -115,7 +115,7 @@ class Grid:
         """Which points ``(dim, n)`` are outside, or do not have their whole domain inside."""
         half = 0.0 if length is None else length * (0.5 - 1e-12)      # a domain that ends on the edge may round over it
         low, high = (np.array([[axis[end]] for axis in self.axes]) for end in (0, -1))
-        return ~((x - half >= low) & (x + half <= high)).all(axis=0)
+        return np.logical_not(((x - half >= low) & (x + half <= high)).all(axis=0))
 
     @property
     def extent(self) -> str:

@@ -60,7 +60,7 @@ def answer(law: Any, strain: ndarray, stress: ndarray, history: ndarray,
         if array.shape != before.shape:
             raise ValueError(f"{name}: got shape {array.shape} for the {what}, expected {before.shape}, as it was "
                              "given: one row per component, one column per point.")
-    own = [before if array is kept else np.require(array, float, "CW")
+    own = [before if array is kept else np.require(array, float, ("C", "W"))
            for array, kept, before in zip(result, given[1:], (stress, history))]
     return own[0], own[1]
 

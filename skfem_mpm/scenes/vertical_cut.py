@@ -52,8 +52,9 @@ class VerticalCut:
                               steps=steps, **{"gravity": self.gravity, "ramp": self.ramp, **choices})
 
     def toe_displacement(self, state: ExplicitState) -> float:
-        """How far the toe has moved outwards."""
-        return float(state.particles.x[0, self.toe] - self.particles.x[0, self.toe])
+        """How far the toe has moved outwards; not a number if it has left the grid (``leaving="remove"``)."""
+        place = [self.toe] if state.kept is None else np.flatnonzero(state.kept == self.toe)
+        return float(state.particles.x[0, place[0]] - self.particles.x[0, self.toe]) if len(place) else np.nan
 
     def run_out(self, state: ExplicitState) -> float:
         """How far the foremost point is beyond the initial face."""
