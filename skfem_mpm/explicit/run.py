@@ -266,8 +266,10 @@ class Run:
         return f"step {self.step + 1}: point {self._number(point)} at ({place})"
 
     def _stop(self, what: str, point: int) -> None:
-        raise UnstableError(f"{self._whereabouts(point)} {what}; the last good state is in .state.  A shorter time "
-                            f"step (it was {self.dt:g}) is the likely cure.", self.last)
+        cure = f"A shorter time step (it was {self.dt:g}) is the likely cure."
+        if self.choices.method.strain is not self.choices.method.force:
+            cure = "Elastic waves grow with this method at any time step; 'cmpm-c' and 'gimp' are the likely cure."
+        raise UnstableError(f"{self._whereabouts(point)} {what}; the last good state is in .state.  {cure}", self.last)
 
     # -- snapshots ---------------------------------------------------------------------------------------------------
 
