@@ -201,6 +201,18 @@ def test_energy_stays_with_conjugate_forces(method, dim, cells, steps):
 
 
 @quiet
+@fluttering_methods
+def test_a_run_that_is_stopped_names_another_method_and_no_shorter_step(method):
+    mesh, body = shifted(1, 20, 0.24)
+    body = replace(body, velocity=1e-9 * np.random.default_rng(7).uniform(-1, 1, body.x.shape))
+    with pytest.raises(UnstableError, match="'cmpm-c'") as caught:
+        for state in explicit_steps(mesh, body, LAW[1], method=method, steps=2000, every=10, engine="numpy"):
+            pass
+    assert "shorter" not in str(caught.value)
+    assert caught.value.state is state and np.isfinite(state.particles.velocity).all()
+
+
+@quiet
 def test_neither_damping_nor_a_share_of_pic_stops_it():
     for choices in ({"damping": 0.05}, {"flip": 0.95}):
         _, energy = ringing(2, 6, "cmpm", steps=600, every=10, **choices)

@@ -101,7 +101,7 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     Warns
     -----
     UserWarning
-        Once, if the method's strain is not conjugate to its forces (elastic waves then grow slowly), or if the given
+        Once, if the method's strain is not conjugate to its forces (elastic waves then grow), or if the given
         time step is above the stable one.
 
     Examples
@@ -141,8 +141,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
                          "domain is in which cell; use edges='ghost' or 'clip'.")
     load = _load(gravity, ramp, start.particles.dim if isinstance(start, ExplicitState) else start.dim)
     if method.strain is not method.force:
-        warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow slowly, at any "
-                      "time step; 'cmpm-c' and 'gimp' do not.", UserWarning, stacklevel=2)
+        warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow, at any time step; "
+                      "with 'cmpm-c' and 'gimp' they do not.", UserWarning, stacklevel=2)
     choices = Choices(method, strain, integrator, edges, flip, xpic, bool(tpic), damping, load, dt, safety,
                       int(refresh), remedy, leaving)
     run = make_run(engine, int(threads), mesh, _start(start, boundary, int(refresh)), material, choices)

@@ -13,9 +13,9 @@ from .run import Run
 from .state import Choices, ExplicitState
 
 ENGINES = ("auto", "numpy", "numba")
-# Points from which numba pays, by dimension and number of nodes per axis of the widest stencil: below, a run of a
-# thousand steps takes less time than numba takes to load.
-WORTHWHILE = {(1, 2): 5000, (1, 4): 5000, (2, 2): 1000, (2, 4): 500, (3, 2): 400, (3, 4): 100}
+# Points from which numba pays, by dimension and number of nodes per axis of the widest stencil: below, a run of some
+# hundred steps takes less time than numba takes to load.
+WORTHWHILE = {(1, 2): 2000, (1, 4): 2000, (2, 2): 300, (2, 4): 200, (3, 2): 100, (3, 4): 50}
 COMPILED = {ParticleBasis, GIMPBasis, CMPMBasis}
 
 
@@ -43,7 +43,7 @@ def make_run(engine: str, threads: int, mesh: Mesh, start: ExplicitState, materi
             raise ImportError("engine: got 'numba', which is not installed; install the extra with "
                               "pip install 'skfem-mpm[fast]', or use engine='numpy'.")
         warnings.warn("a run of this size is many times faster with numba: pip install 'skfem-mpm[fast]'.", UserWarning,
-                      stacklevel=4)
+                      stacklevel=3)
         return Run(mesh, start, material, choices)
     from .compiled import CompiledRun  # numba is slow to import
     return CompiledRun(mesh, start, material, choices, threads)
