@@ -48,9 +48,9 @@ def check_array(name: str, value: Any, shape: tuple[int | None, ...]) -> ndarray
 
 
 def check_positive(name: str, value: Any) -> None:
-    """Refuse zero, negative and not-a-number entries, naming the first one."""
+    """Refuse entries that are zero, negative or not finite, naming the first one."""
     array = np.asarray(value)
-    bad = ~(array > 0)
+    bad = ~((array > 0) & np.isfinite(array))
     if bad.any():
         if array.ndim == 0:
             raise ValueError(f"{name}: got {value}, expected a number above zero.")

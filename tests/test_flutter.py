@@ -136,7 +136,8 @@ def ringing(dim, cells, method, shift=0.24, **choices):
     body = replace(body, velocity=1e-9 * (noise - noise.mean(axis=1, keepdims=True)))
     found = []
     try:
-        for state in explicit_steps(mesh, body, LAW[dim], method=method, **{"engine": "numpy"} | choices):
+        for state in explicit_steps(mesh, body, LAW[dim], method=method,
+                                    **{"engine": "numpy", "safety": 0.8} | choices):
             found.append((state.time, state.energy["kinetic"] + state.energy["elastic"]))
     except UnstableError:
         pass
@@ -206,7 +207,8 @@ def test_a_run_that_is_stopped_names_another_method_and_no_shorter_step(method):
     mesh, body = shifted(1, 20, 0.24)
     body = replace(body, velocity=1e-9 * np.random.default_rng(7).uniform(-1, 1, body.x.shape))
     with pytest.raises(UnstableError, match="'cmpm-c'") as caught:
-        for state in explicit_steps(mesh, body, LAW[1], method=method, steps=2000, every=10, engine="numpy"):
+        for state in explicit_steps(mesh, body, LAW[1], method=method, steps=2000, every=10, engine="numpy",
+                                    safety=0.8):
             pass
     assert "shorter" not in str(caught.value)
     assert caught.value.state is state and np.isfinite(state.particles.velocity).all()

@@ -58,7 +58,8 @@ for method, remedy, h in tqdm(RUNS, desc="cut_limit"):
     speed = np.sqrt((law.lam + 2 * law.G) / 2000.0)
     begin, ramp, failed = time.perf_counter(), transits / speed, np.nan
     curve = curves[method, remedy, h] = []
-    for state in scene.run(method, steps=10_000_000, every=40, ramp=ramp, remedy=remedy, safety=1.0, threads=2):
+    for state in scene.run(method, steps=10_000_000, every=transits // 20, ramp=ramp, remedy=remedy, safety=1.0,
+                           threads=2):
         number, share = LAST * state.time / ramp, state.energy["kinetic"] / state.energy["external"]
         curve.append((number, share))
         if number > LAST / 2 and share > SHARE:         # before, gravity has hardly set in
@@ -86,7 +87,7 @@ left.set(xlabel="gamma H / c", ylabel="kinetic energy / work of gravity", ylim=(
 left.grid(alpha=0.3)
 left.legend(fontsize="small")
 h, points = band
-cloud = right.scatter(*points.x, c=1e3 * points.history[0], s=(h / 0.05) ** 2 * 45, marker="s", linewidths=0,
+cloud = right.scatter(*points.x, c=1e3 * points.history[0], s=(h / 0.05) ** 2 * 90, marker="s", linewidths=0,
                       vmax=np.quantile(1e3 * points.history[0], 0.99))
 right.set(aspect="equal", title=f"plastic strain at failure (h = {h}), in thousandths")
 figure.colorbar(cloud, ax=right, shrink=0.7)

@@ -32,7 +32,7 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
                    every_seconds: float | None = None, method: str | Method = "mpm", strain: str = "small",
                    integrator: str = "musl", edges: Edges = "ghost", flip: float = 1.0, xpic: int = 0,
                    tpic: bool = False, remedy: str = "none", damping: float = 0.0, gravity: Any = None,
-                   ramp: float = 0.0, dt: float | None = None, safety: float = 0.8, refresh: int | None = None,
+                   ramp: float = 0.0, dt: float | None = None, safety: float = 0.5, refresh: int | None = None,
                    leaving: str = "error", engine: str = "auto", threads: int = 1) -> Iterator[ExplicitState]:
     """Move a body in time; yields an :class:`ExplicitState` every ``every`` steps and after the last one.
 
@@ -76,7 +76,7 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     dt
         Time step; found from the highest frequency of the layout, times ``safety``, and refreshed, if not given.
     safety
-        Share of the stable step to take, above 0 and at most 1.
+        Share of the stable step to take, above 0 and at most 1.  Errors of energy fall with it.
     refresh
         After how many steps the stable step is found again; 50 if not given, but 1 with ``usl`` or ``tpic``, whose
         stable step collapses for a while when a point enters an empty cell.

@@ -206,13 +206,13 @@ class Run:
         self._check_energy()
         self.refreshed = self.step
         if self.choices.dt is None:
-            self.dt = self.choices.safety * stable
+            self.dt = float(self.choices.safety * stable)
             return
         if self.choices.dt > stable and not self.warned:
             self.warned = True
             warnings.warn(f"dt: got {self.choices.dt:g}, above the step {stable:g} that is surely stable here; the run "
                           "may become unstable.", UserWarning, stacklevel=2)
-        self.dt = self.choices.dt
+        self.dt = float(self.choices.dt)
 
     # -- guards ------------------------------------------------------------------------------------------------------
 

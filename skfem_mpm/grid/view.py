@@ -21,9 +21,7 @@ def view(mesh: Mesh) -> tuple[tuple[ndarray, ...], ndarray, ndarray]:
     ValueError
         If the mesh is of another kind, not axis-aligned, or not a full box.
     """
-    used = np.zeros(mesh.p.shape[1], dtype=bool)
-    used[mesh.t] = True
-    if not isinstance(mesh, (MeshLine1, MeshQuad1, MeshHex1)) or not used.all():
+    if not isinstance(mesh, (MeshLine1, MeshQuad1, MeshHex1)) or not _all_used(mesh):
         raise ValueError(f"mesh: got {type(mesh).__name__}, expected an axis-aligned MeshLine1, MeshQuad1 or MeshHex1 "
                          "without unused vertices; other meshes work with ParticleBasis only.")
     axes = _axes(mesh.p)
@@ -35,6 +33,13 @@ def view(mesh: Mesh) -> tuple[tuple[ndarray, ...], ndarray, ndarray]:
                          "of axis-aligned cells; use init_tensor or a refined unit mesh (empty cells cost next to "
                          "nothing).")
     return axes, *tables
+
+
+def _all_used(mesh: Mesh) -> bool:
+    """Whether every vertex belongs to a cell."""
+    used = np.zeros(mesh.p.shape[1], dtype=bool)
+    used[mesh.t] = True
+    return bool(used.all())
 
 
 def _tables(mesh: Mesh, axes: Sequence[ndarray]) -> tuple[ndarray, ndarray] | None:
