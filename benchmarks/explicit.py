@@ -106,7 +106,8 @@ def measure(engine, method, points, dim, threads, integrator, material, steps, r
     rate = float(np.median(rates))
     return {"engine": state.engine, "method": method, "dim": dim, "points": particles.n, "threads": threads,
             "integrator": integrator, "material": material, "refresh": refresh, "steps": steps,
-            "point_steps_per_s": round(rate), "min": round(min(rates)), "max": round(max(rates)), "bytes_per_point": size,
+            "point_steps_per_s": round(rate), "min": round(min(rates)), "max": round(max(rates)),
+            "bytes_per_point": size,
             "triad_GB_per_s": round(bandwidth, 1), "bandwidth_share": round(rate * size / bandwidth / 1e9, 3)}
 
 

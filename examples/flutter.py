@@ -45,6 +45,7 @@ MOTION = {1: uniaxial, 2: plane_strain}
 LAW = {1: LinearElastic(E=1.0, nu=0.0), 2: LinearElastic(E=1.3 * 0.4 / 0.7, nu=0.3)}       # pressure waves of speed 1
 
 SAFETY = 0.8        # time steps as a share of the stable one: long ones, for 50 000 of them
+
 # -- options ----------------------------------------------------------------------------------------------------------
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
