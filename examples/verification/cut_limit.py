@@ -3,12 +3,11 @@
 V14: the cut of the paper on a rough base, its soil made perfectly plastic (von Mises, sqrt(J2) <= c) and stiff
 (E = 1000 c), under gravity that grows so slowly that waves cross the cut hundreds of times.  It has failed when the
 kinetic energy passes 1 % of the work that gravity has done.  Limit analysis encloses gamma H / c at failure between
-3.7752 and 3.7776 (Kammoun, Pastor, Smaoui and Pastor 2010, doi 10.1002/nag.887); a rigid base at the toe may raise it a
-little, to 3.83 at most, the circle through the toe.  Linear functions with 2 x 2 points in a cell hardly flow at
-constant volume, which delays failure; remedy="bbar" gives the points of a cell one volume strain.  What is left goes
-with the size of cells, which is therefore also taken to zero in a straight line from the last two grids, and with
-gravity that still grows while the cut gathers speed: the curve of the kinetic energy bends upwards earlier than it
-passes 1 %.  Only methods that do not flutter can be judged by their kinetic energy.  Writes, under
+3.7752 and 3.7776 (Kammoun, Pastor, Smaoui and Pastor 2010, doi 10.1002/nag.887).  Linear functions with 2 x 2 points in
+a cell hardly flow at constant volume, which delays failure; remedy="bbar" gives the points of a cell one volume strain.
+What is left goes with the size of cells, which is therefore also taken to zero in a straight line from the last two
+grids, and with gravity that still grows while the cut gathers speed: the curve of the kinetic energy bends upwards
+earlier than it passes 1 %.  Only methods that do not flutter can be judged by their kinetic energy.  Writes, under
 results/verification/cut_limit/ or --out, cut_limit.csv, cut_limit.png.  Takes a minute or two with numba.
 
 Width (1.25 m; the mechanism reaches 1 m behind the face), stiffness, rate of gravity and grids are ours.
