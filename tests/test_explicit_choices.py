@@ -1,5 +1,7 @@
 """What a user may choose in an explicit run: TPIC, B-bar, points that leave, snapshots by time; and its operators."""
 
+import copy
+import pickle
 import warnings
 from dataclasses import replace
 
@@ -255,7 +257,7 @@ def test_a_point_that_leaves_stops_the_run_or_is_removed(method):
 def test_a_body_that_leaves_as_a_whole_is_an_error_whatever_the_policy():
     mesh, body = fragments()
     body = replace(body, velocity=np.array([[-1.0, -1.0], [0.0, 0.0]]))
-    with pytest.raises(OutsideGridError, match="leaves the grid"):
+    with pytest.raises(OutsideGridError, match="the whole body has left the grid"):
         run(mesh, body, steps=400, dt=0.01, leaving="remove")
 
 
@@ -296,6 +298,13 @@ def test_a_continued_run_equals_the_uninterrupted_one(choices):
 @pytest.mark.parametrize("given, error, match", [
     ({"remedy": "fbar"}, ValueError, "^remedy: got 'fbar', expected one of 'none', 'bbar'"),
     ({"leaving": "ignore"}, ValueError, "^leaving: got 'ignore', expected one of 'error', 'remove'"),
+    ({"tpic": "no"}, TypeError, "^tpic: got 'no', expected True or False"),
+    ({"gravity": "down"}, TypeError, "^gravity: got 'down', expected 2 number"),
+    ({"gravity": max}, TypeError, "^gravity: got .*expected 2 number"),
+    ({"ramp": None}, ValueError, "^ramp: got None"),
+    ({"dt": "auto"}, ValueError, "^dt: got 'auto', expected a time span above zero"),
+    ({"flip": None}, ValueError, "^flip: got None, expected a share"),
+    ({"boundary": FixedPlane(1, 1.0, -1)}, TypeError, "^boundary: got a FixedPlane, expected a list"),
     ({"boundary": [Wall(np.array([[1.0], [1.0]]), (0.1, None))]}, TypeError, "^boundary: got a Wall, expected fixed"),
 ], ids=str)
 def test_bad_choices_are_refused(given, error, match):
@@ -348,3 +357,82 @@ def test_stress_given_without_strain_is_kept_in_logarithmic_strain():
     assert_allclose(state.energy["start"], LAW.energy_density(sigma, None, plane_strain.components) @ body.volume)
     with pytest.raises(ValueError, match="^epsilon: got stress without strain for Hencky"):
         explicit_steps(mesh, start, Hencky(100.0, 0.3), steps=1, strain="logarithmic")
+
+
+# What a run that goes on must notice
+
+def resting(engine="numpy", **choices):
+    mesh, body = boxed(2, random=0.0)
+    return mesh, run(mesh, body, steps=10, every=10, gravity=(0.0, -1.0), engine=engine, **choices)[-1]
+
+
+@pytest.mark.parametrize("engine", ["numpy", "numba"])
+def test_a_run_that_goes_on_with_other_choices_finds_its_step_anew(engine):
+    mesh, state = resting(engine)
+    assert run(mesh, state, steps=1, engine=engine)[-1].dt == state.dt
+    assert run(mesh, state, steps=10, every=10, engine=engine, dt=1e-4)[-1].time - state.time == pytest.approx(1e-3)
+    assert_allclose(run(mesh, state, steps=1, engine=engine, safety=0.1)[-1].dt, state.dt / 5, rtol=1e-3)
+    stiff = run(mesh, state, LinearElastic(E=1e6, nu=0.3), steps=1, engine=engine)[-1]
+    assert_allclose(stiff.dt, state.dt / 100, rtol=1e-3)
+    with pytest.warns(UserWarning, match="^dt: got 1, above the step"):
+        next(explicit_steps(mesh, state, LAW, steps=1, engine=engine, dt=1.0, method="mpm"))
+
+
+@pytest.mark.parametrize("engine", ["numpy", "numba"])
+def test_a_state_survives_pickling_and_copying(engine):
+    mesh, state = resting(engine, tpic=True)
+    on = run(mesh, state, steps=5, tpic=True, engine=engine)[-1]
+    for twin in (pickle.loads(pickle.dumps(state)), copy.deepcopy(state)):
+        again = run(mesh, twin, steps=5, tpic=True, engine=engine)[-1]
+        assert_array_equal(again.particles.x, on.particles.x)
+        assert dict(again.energy) == dict(on.energy)
+
+
+@pytest.mark.parametrize("engine", ["numpy", "numba"])
+def test_nothing_in_a_state_can_be_written(engine):
+    mesh, body = fragments()
+    state = run(mesh, body, steps=100, dt=0.01, leaving="remove", tpic=True, engine=engine)[-1]
+    for array in (state.slope, state.kept, state.order):
+        assert array is None or not array.flags.writeable
+    with pytest.raises(TypeError):
+        state.energy["kinetic"] = 0.0
+
+
+@pytest.mark.parametrize("engine", ["numpy", "numba"])
+def test_points_that_leave_take_their_energy_along(engine):
+    mesh, body = fragments()
+    state = run(mesh, body, steps=100, dt=0.01, leaving="remove", engine=engine)[-1]
+    assert_allclose(state.energy["removed"], 0.5 * 1.0 * 1.0 ** 2, rtol=1e-12)
+    assert_allclose(state.energy["start"], mechanical(state) + state.energy["removed"], rtol=1e-12)
+
+
+@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@pytest.mark.parametrize("damping", [0.1, 0.5, 1.0])
+def test_damping_never_takes_more_than_there_was(engine, damping):
+    mesh, body = boxed(2, spare=6, random=0.0)
+    body = replace(body, velocity=np.stack([3 * (body.x[0] - 1.5) ** 2, (body.x[0] - 1.5) * (body.x[1] - 1.5)]))
+    energy = run(mesh, body, steps=150, every=150, damping=damping, engine=engine, safety=0.8)[-1].energy
+    total = energy["kinetic"] + energy["elastic"] + energy["damped"]
+    assert total < 1.001 * energy["start"] and energy["damped"] > 0.1 * energy["start"]
+
+
+def test_energy_given_by_hand_counts_as_given():
+    mesh, body = boxed(2, random=0.0)
+    state = run(mesh, body, steps=2)[-1]
+    kicked = replace(state, particles=replace(state.particles, velocity=np.full_like(body.x, 0.1)))
+    on = run(mesh, kicked, steps=60)[-1]
+    assert_allclose(on.energy["start"], body.mass.sum() * 0.01, rtol=1e-12)
+
+
+def test_a_law_without_stiffness_needs_a_step():
+    class Dust(LinearElastic):
+        def update(self, strain, stress, history, components):
+            return 0 * stress, history
+
+        def tangent(self, strain, stress, history, places):
+            return np.zeros((len(places), len(places), 1))
+
+    mesh, body = boxed(2)
+    with pytest.raises(ValueError, match="^dt: found a stable step of inf.*give dt"):
+        run(mesh, body, Dust(1.0, 0.0), steps=1)
+    assert run(mesh, body, Dust(1.0, 0.0), steps=3, dt=0.01)[-1].time == pytest.approx(0.03)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -126,16 +126,16 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
         check_choice(name, value, names)
     remaps = integrator != "usl" and not tpic
     refresh = refresh if refresh is not None else 50 if remaps else 1
-    for name, count, least in [("steps", steps, 1), ("every", every, 1), ("refresh", refresh, 1), ("xpic", xpic, 0),
-                               ("threads", threads, 1)]:
-        if not (isinstance(count, Integral) and count >= least):
-            raise ValueError(f"{name}: got {count}, expected a whole number of at least {least}.")
-    for name, number in [("flip", flip), ("damping", damping), ("safety", safety)]:
-        if not (0 <= number <= 1 and (number > 0 or name != "safety")):
-            raise ValueError(f"{name}: got {number}, expected a share from 0 to 1{', above 0' * (name == 'safety')}.")
-    for name, span in [("dt", dt), ("every_seconds", every_seconds)]:
-        if span is not None and not (np.isfinite(span) and span > 0):
-            raise ValueError(f"{name}: got {span}, expected a time span above zero, or None.")
+    _check_numbers({"steps": (steps, 1), "every": (every, 1), "refresh": (refresh, 1), "xpic": (xpic, 0),
+                    "threads": (threads, 1)}, {"flip": flip, "damping": damping, "safety": safety},
+                   {"dt": dt, "every_seconds": every_seconds})
+    if not isinstance(tpic, (bool, np.bool_)):
+        raise TypeError(f"tpic: got {tpic!r}, expected True or False.")
+    if not isinstance(start, (Particles, ExplicitState)):
+        raise TypeError(f"start: got a {type(start).__name__}, expected Particles or a state of an explicit run; of an "
+                        "implicit state give its particles.")
+    if not isinstance(boundary, (list, tuple, type(None))):
+        raise TypeError(f"boundary: got a {type(boundary).__name__}, expected a list of fixed planes.")
     if remedy == "bbar" and edges == "truncate":
         raise ValueError("remedy: got 'bbar' with edges='truncate', where nodes are missing that say how much of a "
                          "domain is in which cell; use edges='ghost' or 'clip'.")
@@ -149,13 +149,31 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     return _yield(run, int(steps), int(every), every_seconds)
 
 
+def _check_numbers(counts: dict[str, tuple[Any, int]], shares: dict[str, Any], spans: dict[str, Any]) -> None:
+    """Refuse whole numbers that are too small, shares beyond 0 and 1, and spans of time that are none."""
+    for name, (count, least) in counts.items():
+        if not (isinstance(count, Integral) and count >= least):
+            raise ValueError(f"{name}: got {count}, expected a whole number of at least {least}.")
+    for name, number in shares.items():
+        above = ", above 0" * (name == "safety")
+        if not (isinstance(number, Real) and 0 <= number <= 1 and (number > 0 or not above)):
+            raise ValueError(f"{name}: got {number!r}, expected a share from 0 to 1{above}.")
+    for name, span in spans.items():
+        if span is not None and not (isinstance(span, Real) and np.isfinite(span) and span > 0):
+            raise ValueError(f"{name}: got {span!r}, expected a time span above zero, or None.")
+
+
 def _load(gravity: Any, ramp: float, dim: int) -> Callable[[float], Any]:
     """Body force per mass over time."""
-    if not (np.isfinite(ramp) and ramp >= 0):
-        raise ValueError(f"ramp: got {ramp}, expected a time of zero or more.")
+    if not (isinstance(ramp, Real) and np.isfinite(ramp) and ramp >= 0):
+        raise ValueError(f"ramp: got {ramp!r}, expected a time of zero or more.")
     if gravity is None:
         return lambda time: None
-    full = check_array("gravity", np.asarray(gravity, dtype=float), (dim,))
+    try:
+        numbers = np.asarray(gravity, dtype=float)
+    except (TypeError, ValueError):
+        raise TypeError(f"gravity: got {gravity!r}, expected {dim} number(s), the body force per mass.") from None
+    full = check_array("gravity", numbers, (dim,))
     if not ramp:
         return lambda time: full
     return lambda time: full * min(time / ramp, 1.0)

@@ -319,8 +319,8 @@ class CompiledRun(Run):
     # -- snapshots ---------------------------------------------------------------------------------------------------
 
     def _number(self, point: int) -> int:
-        """What the user calls a point."""
-        return int(self.order[point])
+        """What the user calls a point: its number at the start."""
+        return super()._number(int(self.order[point]))
 
     def snapshot(self) -> ExplicitState:
         """The state now, frozen, in the user's order."""
@@ -330,7 +330,5 @@ class CompiledRun(Run):
             state = super().snapshot()
         finally:
             vars(self).update(held)
-        order = self.order.copy()
-        order.flags.writeable = False
-        self.last = replace(state, engine="numba", order=order)
+        self.last = replace(state, engine="numba", order=self.order.copy())
         return self.last

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -56,8 +55,12 @@ class Run:
         motion.respond(np.zeros((len(self.symmetric), n)))              # a law that does not fit says so now
         if finite:
             self.epsilon = motion.start.copy()                          # stress given without strain stands for one
-        if start.step == 0:
-            self.work["start"] = sum(self._stored().values())
+        given = np.nansum(list(self._stored().values())) - sum(start.energy.get(k, 0.0) for k in ("kinetic", "elastic"))
+        if given:                                          # at the start, or by hand since the last snapshot
+            self.work["start"] += float(np.nan_to_num(given))
+        self.rests_on = material, start.boundary, replace(choices, load=None)
+        if start.rests_on != self.rests_on:
+            self.refreshed = self.step - choices.refresh   # what the step was found for has changed
 
     def _check(self, start: ExplicitState) -> None:
         """Refuse what does not fit together."""
@@ -101,7 +104,9 @@ class Run:
         before = nodes.velocity(momentum)
         if choices.integrator == "usf":
             self._update_stress(nodes, means, before)
-        after = nodes.velocity(momentum + self.dt * self._force(nodes, means, before))
+        force, lost = self._force(nodes, means, before)
+        after = nodes.velocity(momentum + self.dt * force)
+        self.work["damped"] += float((lost * (before + after)).sum() * self.dt / 2)
         moved = self._move(nodes, before, after)
         if choices.integrator == "musl":
             self._update_stress(nodes, means, nodes.velocity(self._momentum(nodes)))
@@ -118,8 +123,8 @@ class Run:
             nodal += nodes.tilted(self.mass * self.slope)
         return nodes.gather(nodal)
 
-    def _force(self, nodes: Nodes, means: CellMeans | None, velocity: ndarray) -> ndarray:
-        """Nodal force: internal, gravity, damping."""
+    def _force(self, nodes: Nodes, means: CellMeans | None, velocity: ndarray) -> tuple[ndarray, ndarray]:
+        """Nodal force, internal and gravity less damping, and what damping takes of it."""
         stress = self.sigma[self.symmetric]
         if means:
             stress = means.smooth(stress)
@@ -129,14 +134,11 @@ class Run:
             force += gravity[:, None] * nodes.lumped
         force = nodes.gather(force)
         force[nodes.fixed] = 0
-        if self.choices.damping:
-            lost = self.choices.damping * np.abs(force) * np.sign(velocity)
-            self.work["damped"] += float((lost * velocity).sum() * self.dt)
-            force -= lost
-        return force
+        lost = self.choices.damping * np.abs(force) * np.sign(velocity) * nodes.active
+        return force - lost, lost
 
     def _gravity(self) -> ndarray | None:
-        return self.choices.load(self.time + self.dt / 2)
+        return self.choices.load(self.time + self.dt / 2) if self.choices.load else None
 
     def _move(self, nodes: Nodes, before: ndarray, after: ndarray) -> ndarray:
         """Points take on the change of the grid's velocity; how far they move with it, ``(dim, n)``."""
@@ -205,6 +207,9 @@ class Run:
         """Choose the time step, knowing the stable one."""
         self._check_energy()
         self.refreshed = self.step
+        if self.choices.dt is None and not 0 < stable < np.inf:
+            raise ValueError(f"dt: found a stable step of {stable}, which is none: the law has no stiffness, or units "
+                             "are beyond what numbers hold; give dt.")
         if self.choices.dt is None:
             self.dt = float(self.choices.safety * stable)
             return
@@ -230,7 +235,7 @@ class Run:
 
     def _check_energy(self) -> None:
         """Stop a run in which the body has far more energy than it was ever given."""
-        energy = sum(self._stored().values())
+        energy = np.nansum(list(self._stored().values()))        # of what the law says
         if energy > RUNAWAY * (self.work["start"] + self.work["peak"]):
             fastest = int((self.velocity ** 2).sum(axis=0).argmax())
             self._stop(f"is the fastest of a body with more than {RUNAWAY:g} times the energy it was given", fastest)
@@ -241,25 +246,29 @@ class Run:
         outside = self.grid.outside(self.x, self.length if ghost else None)
         if not outside.any():
             return
-        point = int(np.flatnonzero(outside)[0])
-        if self.choices.leaving == "error" or outside.all():
-            raise OutsideGridError(f"{self._whereabouts(point)} leaves the grid {self.grid.extent}"
-                                   f"{' with its domain' * ghost}; use a larger mesh, or leaving='remove' to go on "
-                                   "without such points.")
+        if outside.all() and self.choices.leaving == "remove":
+            raise OutsideGridError(f"step {self.step + 1}: the whole body has left the grid {self.grid.extent}; use a "
+                                   "larger mesh, or fewer steps.")
+        if self.choices.leaving == "error":
+            raise OutsideGridError(f"{self._whereabouts(int(np.flatnonzero(outside)[0]))} leaves the grid "
+                                   f"{self.grid.extent}{' with its domain' * ghost}; use a larger mesh, or "
+                                   "leaving='remove' to go on without such points.")
         self._keep(~outside)
 
     def _keep(self, mask: ndarray) -> None:
         """Go on with some of the points."""
+        before = sum(self._stored().values())
         self.kept = (np.arange(len(mask)) if self.kept is None else self.kept)[mask]
         self.particles = self.particles.where(mask)
         for name in ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope"):
             array = getattr(self, name)
             if array is not None:
                 setattr(self, name, array[..., mask])
+        self.work["removed"] += before - sum(self._stored().values())
 
     def _number(self, point: int) -> int:
-        """What the user calls a point."""
-        return point
+        """What the user calls a point: its number at the start."""
+        return point if self.kept is None else int(self.kept[point])
 
     def _whereabouts(self, point: int) -> str:
         place = ", ".join(f"{value:g}" for value in self.x[:, point])
@@ -286,7 +295,7 @@ class Run:
         particles = replace(self.particles, x=self.x, volume=self.volume, velocity=self.velocity, sigma=self.sigma,
                             epsilon=self.epsilon,
                             history=self.history if self.material.history else None)
-        energy = MappingProxyType({**self._stored(), **self.work})
+        energy = {**self._stored(), **self.work}
         self.last = ExplicitState(self.step, self.time, self.dt, self.refreshed, particles, self.planes, energy,
-                                  kept=self.kept, slope=self.slope)
+                                  kept=self.kept, slope=self.slope, rests_on=self.rests_on)
         return self.last

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from types import MappingProxyType
 from typing import Any
 
 from numpy import ndarray
@@ -12,7 +13,7 @@ from ..basis import Method
 from ..grid import Edges
 from ..particles import Particles
 
-LEDGER = ("start", "peak", "external", "plastic", "damped")
+LEDGER = ("start", "peak", "external", "plastic", "damped", "removed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,8 @@ class ExplicitState:
         What holds them.
     energy
         ``kinetic`` and ``elastic`` now; their sum at the ``start``; work since then, ``external``, ``plastic`` and
-        ``damped``; the largest size of the external work so far, ``peak``.
+        ``damped``; what points took along that left the mesh, ``removed``; the largest size of the external work so
+        far, ``peak``.
     engine
         What computed it, ``numpy`` or ``numba``.
     order
@@ -42,6 +44,8 @@ class ExplicitState:
         ``(n,)``; which points of the start these are (``None`` for all).
     slope
         ``(dim * dim, n)``; velocity gradient that the points carry with ``tpic``.
+    rests_on
+        Law, planes and choices for which the time step was found; a run that goes on with others finds it anew.
     """
 
     step: int
@@ -55,6 +59,18 @@ class ExplicitState:
     order: ndarray | None = None
     kept: ndarray | None = None
     slope: ndarray | None = None
+    rests_on: Any = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "energy", MappingProxyType(dict(self.energy)))
+        for array in (self.order, self.kept, self.slope):
+            if array is not None:
+                array.flags.writeable = False
+
+    def __reduce__(self) -> tuple:
+        # A mapping proxy cannot be pickled, and unpickled arrays are writable unless they go through __post_init__.
+        held = {field.name: getattr(self, field.name) for field in fields(self)}
+        return type(self), tuple({**held, "energy": dict(self.energy)}.values())
 
 
 @dataclass(frozen=True)
@@ -69,7 +85,7 @@ class Choices:
     xpic: int
     tpic: bool
     damping: float
-    load: Callable[[float], ndarray | None]    # body force per mass at a time
+    load: Callable[[float], ndarray | None] | None     # body force per mass at a time
     dt: float | None
     safety: float
     refresh: int

@@ -121,12 +121,11 @@ def velocities(g, force, column, fixed, active, dt, damping, nodal, dims, inside
         for k in range(len(dims)):
             free = 1.0 - fixed[i, k]
             before = free * g[i, 1 + k] * inverse
-            push = free * force[i, column + k]
+            push, lost = free * force[i, column + k], 0.0
             if damping:
                 lost = damping * abs(push) * np.sign(before)
-                work += lost * before
-                push -= lost
-            change = dt * push * inverse
+            change = dt * (push - lost) * inverse
+            work += lost * (before + change / 2)
             nodal[i, k] = before + change
             nodal[i, dim + k] = change
     _spread(nodal, inside, outside, signs, offsets, active, lights, count)
