@@ -424,6 +424,20 @@ def test_energy_given_by_hand_counts_as_given():
     assert_allclose(on.energy["start"], body.mass.sum() * 0.01, rtol=1e-12)
 
 
+@pytest.mark.parametrize("method, integrator, stays", [("mpm", "musl", True), ("gimp", "usl", True),
+                                                       ("gimp", "musl", False), ("cmpm-c", "musl", False),
+                                                       ("cmpm-c", "usl", True)])
+def test_a_bar_in_tension_stays_at_rest_but_where_slopes_change_and_strain_is_remapped(method, integrator, stays):
+    """A known limit: strain lags behind positions, and tension makes that negative damping, at any step."""
+    body = Particles.fill(MeshLine(np.arange(10, 21) * 0.05), uniaxial)
+    noise = 1e-6 * np.random.default_rng(0).normal(size=(1, body.n))
+    body = replace(body, sigma=np.full((1, body.n), 30.0), velocity=noise)
+    ends = [FixedPlane(0, 0.5, -1), FixedPlane(0, 1.0, 1)]
+    state = run(MeshLine(np.arange(41) * 0.05), body, LinearElastic(E=1e3, nu=0.0), ends, steps=1500, every=1500,
+                method=method, integrator=integrator, safety=0.8, refresh=50)[-1]
+    assert (abs(state.particles.velocity).max() < 1e-5) == stays
+
+
 def test_a_law_without_stiffness_needs_a_step():
     class Dust(LinearElastic):
         def update(self, strain, stress, history, components):

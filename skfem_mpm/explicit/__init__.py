@@ -25,6 +25,8 @@ __all__ = ["ExplicitState", "explicit_steps"]
 INTEGRATORS = ("musl", "usl", "usf")
 REMEDIES = ("none", "bbar")
 LEAVING = ("error", "remove")
+WHOLE: Any = Integral          # of types that mypy takes for any: it does not know that these can be compared
+NUMBER: Any = Real
 
 
 def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
@@ -152,20 +154,20 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
 def _check_numbers(counts: dict[str, tuple[Any, int]], shares: dict[str, Any], spans: dict[str, Any]) -> None:
     """Refuse whole numbers that are too small, shares beyond 0 and 1, and spans of time that are none."""
     for name, (count, least) in counts.items():
-        if not (isinstance(count, Integral) and count >= least):
+        if not (isinstance(count, WHOLE) and count >= least):
             raise ValueError(f"{name}: got {count}, expected a whole number of at least {least}.")
     for name, number in shares.items():
         above = ", above 0" * (name == "safety")
-        if not (isinstance(number, Real) and 0 <= number <= 1 and (number > 0 or not above)):
+        if not (isinstance(number, NUMBER) and 0 <= number <= 1 and (number > 0 or not above)):
             raise ValueError(f"{name}: got {number!r}, expected a share from 0 to 1{above}.")
     for name, span in spans.items():
-        if span is not None and not (isinstance(span, Real) and np.isfinite(span) and span > 0):
+        if span is not None and not (isinstance(span, NUMBER) and np.isfinite(span) and span > 0):
             raise ValueError(f"{name}: got {span!r}, expected a time span above zero, or None.")
 
 
 def _load(gravity: Any, ramp: float, dim: int) -> Callable[[float], Any]:
     """Body force per mass over time."""
-    if not (isinstance(ramp, Real) and np.isfinite(ramp) and ramp >= 0):
+    if not (isinstance(ramp, NUMBER) and np.isfinite(ramp) and ramp >= 0):
         raise ValueError(f"ramp: got {ramp!r}, expected a time of zero or more.")
     if gravity is None:
         return lambda time: None

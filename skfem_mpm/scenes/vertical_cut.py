@@ -85,7 +85,8 @@ class VerticalCut:
         """
         energy = state.energy
         given = energy["external"] + self._stored()
-        return (given - energy["kinetic"] - energy["elastic"] - energy["plastic"] - energy["damped"]) / given
+        spent = sum(energy[name] for name in ("kinetic", "elastic", "plastic", "damped", "removed"))
+        return (given - spent) / given
 
     def _stored(self) -> float:
         """Elastic energy of the initial stress."""
