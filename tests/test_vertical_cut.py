@@ -115,7 +115,7 @@ def moved(scene, method, **choices):
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="the strain of this method")
         return max(np.abs(state.particles.x - scene.particles.x).max()
-                   for state in scene.run(method, steps=100, every=5, engine="numpy", **choices))
+                   for state in scene.run(method, steps=100, every=5, engine="numpy", safety=0.8, **choices))
 
 
 @pytest.mark.parametrize("method", METHODS)

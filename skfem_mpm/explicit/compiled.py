@@ -36,7 +36,8 @@ class CompiledRun(Run):
         dim, method = self.dim, choices.method
         self.crew = Crew(threads)
         self.transfer = importlib.import_module(f"..kernels.transfer{dim}", __package__)
-        self.hoop, self.flip, self.damping = self.kinematics.hoop, float(choices.flip), float(choices.damping)
+        self.hoop = (0,) * self.kinematics.hoop            # its length tells kernels when they are compiled
+        self.flip, self.damping = float(choices.flip), float(choices.damping)
         self.rows = (0,) * self.kinematics.ncomp
         self.diagonal = [row for row, (i, j) in enumerate(self.kinematics.rows(dim)) if i == j]
         self.smooth = choices.remedy == "bbar"
@@ -276,7 +277,7 @@ class CompiledRun(Run):
         else:
             self.crew(self.transfer.g2p, *moving)
         if self.slope is not None:
-            self.crew(self.transfer.gradient, mapping.base, mapping.w, nodal, frame, self.x, 1.0, False, self.slope,
+            self.crew(self.transfer.gradient, mapping.base, mapping.w, nodal, frame, self.x, 1.0, (), self.slope,
                       mapping.kt)
 
     # -- stress ------------------------------------------------------------------------------------------------------

@@ -57,7 +57,7 @@ class Sums:
         """Sums at the nodes, ``(nnodes, columns)``; zero where no point is."""
         window, rows, crew = self.window, self.tables.rows, self.crew
         out = self.buffer(name, window.nnodes, columns)
-        if crew.threads == 1:            # one chunk after the other into a band that stays in the cache
+        if crew.threads == 1:            # one chunk after the other; the copy keeps what two share
             widest = int((rows[:, 1] - rows[:, 0]).max() * window.frame[1, 0])
             copies = self.buffer(f"copies {columns}", 1, widest, columns)
         else:

@@ -32,22 +32,47 @@ def clear(g, low, high):
 
 
 @njit(**INLINE)
-def pour(g, out, low, high, start, end):
-    """Add a chunk's band to all nodes, of which those from ``start`` to ``end`` were written before; the new range."""
+def opened(out, copies, c, low, high, start, end):
+    """The grid that a chunk adds to, its band cleared.
+
+    That is its own copy; or if there is only one copy, all nodes, of which those from ``start`` to ``end`` were written
+    before: the copy keeps what the chunk's band has of them.
+    """
+    if len(copies) > 1:
+        clear(copies[c], low, high)
+        return copies[c]
     if start == end:
         start, end = low, low
-    to, source, columns = out.ravel(), g.ravel(), out.shape[1]
+    first, last = max(low, start) * out.shape[1], min(high, end) * out.shape[1]
+    source, kept = out.ravel(), copies[0].ravel()
+    for i in range(first, last):
+        kept[U(i - first)] = source[U(i)]
+    clear(out, low, high)
     clear(out, end, low)
     clear(out, high, start)
-    a, b = max(low, min(start, high)), min(high, max(end, low))         # the part that was written before
-    shift = low * columns
-    for i in range(low * columns, a * columns):
-        to[U(i)] = source[U(i - shift)]
-    for i in range(a * columns, b * columns):
-        to[U(i)] += source[U(i - shift)]
-    for i in range(b * columns, high * columns):
-        to[U(i)] = source[U(i - shift)]
+    return out
+
+
+@njit(**INLINE)
+def closed(out, copies, low, high, start, end):
+    """Add what was kept; the range of nodes written so far."""
+    if len(copies) > 1:
+        return start, end
+    if start == end:
+        start, end = low, low
+    first, last = max(low, start) * out.shape[1], min(high, end) * out.shape[1]
+    to, kept = out.ravel(), copies[0].ravel()
+    for i in range(first, last):
+        to[U(i)] += kept[U(i - first)]
     return min(low, start), max(high, end)
+
+
+@njit(**INLINE)
+def finish(out, copies, start, end):
+    """Clear the nodes that no chunk has written."""
+    if len(copies) == 1:
+        clear(out, 0, start)
+        clear(out, end, len(out))
 
 
 @njit(**OPTIONS)
@@ -64,34 +89,27 @@ def sum_bands(frame, copies, rows, out, c0, c1):
 
 
 @njit(**INLINE)
-def _range(row, p0, p1):
-    """Lowest and highest number; four at a time, for processors take one after the other only if they must."""
-    a = b = c = d = e = f = g = h = row[U(p0)]
-    last = p0 + (p1 - p0) // 4 * 4
-    for q in range(p0, last, 4):
-        i, j, k, m = row[U(q)], row[U(q + 1)], row[U(q + 2)], row[U(q + 3)]
-        a, e = i if i < a else a, i if i > e else e
-        b, f = j if j < b else b, j if j > f else f
-        c, g = k if k < c else c, k if k > g else g
-        d, h = m if m < d else d, m if m > h else h
-    for q in range(last, p1):
-        i = row[U(q)]
-        a, e = i if i < a else a, i if i > e else e
-    return min(min(a, b), min(c, d)), max(max(e, f), max(g, h))
+def _rank(number):
+    """A whole number that is the larger the larger a number is; processors compare many of these at once."""
+    bits = np.float64(number).view(np.int64)
+    return bits ^ ((bits >> 63) & np.int64(0x7fffffffffffffff))
 
 
 @njit(**INLINE)
-def _furthest(row, other, p0, p1):
-    a = b = c = d = 0.0
-    last = p0 + (p1 - p0) // 4 * 4
-    for q in range(p0, last, 4):
-        i, j = abs(other[U(q)] - row[U(q)]), abs(other[U(q + 1)] - row[U(q + 1)])
-        k, m = abs(other[U(q + 2)] - row[U(q + 2)]), abs(other[U(q + 3)] - row[U(q + 3)])
-        a, b, c, d = i if i > a else a, j if j > b else b, k if k > c else c, m if m > d else d
-    for q in range(last, p1):
-        i = abs(other[U(q)] - row[U(q)])
-        a = i if i > a else a
-    return max(max(a, b), max(c, d))
+def _ranked(rank):
+    """The number of a rank."""
+    return np.int64(rank ^ ((rank >> 63) & np.int64(0x7fffffffffffffff))).view(np.float64)
+
+
+@njit(**INLINE)
+def _extremes(row, other, p0, p1):
+    """Lowest and highest number of the other row, and the largest difference of the two."""
+    low = high = _rank(other[U(p0)])
+    far = np.int64(0)
+    for q in range(U(p0), U(p1)):
+        rank = _rank(other[q])
+        low, high, far = min(low, rank), max(high, rank), max(far, _rank(abs(other[q] - row[q])))
+    return _ranked(low), _ranked(high), _ranked(far)
 
 
 @njit(**SUMS)
@@ -110,8 +128,8 @@ def measure(x, ahead, v, limits, p0, p1):
     limits[0] = 0.0
     for k in range(dim):
         limits[0] += finite(v[k], p0, p1)
-        limits[1 + dim + k], limits[1 + 2 * dim + k] = _range(ahead[k], p0, p1)
-        limits[1 + 3 * dim + k] = _furthest(x[k], ahead[k], p0, p1)
+        low, high, far = _extremes(x[k], ahead[k], p0, p1)
+        limits[1 + dim + k], limits[1 + 2 * dim + k], limits[1 + 3 * dim + k] = low, high, far
 
 
 @njit(**OPTIONS)

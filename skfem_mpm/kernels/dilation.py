@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .chunks import band, clear, cut, pour
+from .chunks import band, closed, cut, finish, opened
 from .options import INLINE, OPTIONS
 
 U = np.uint64
@@ -40,19 +40,15 @@ def to_cells(base, w, volume, amount, knots, frame, out, copies, rows, kt, c0, c
     n, start, end, share = len(volume), 0, 0, np.empty((base.shape[1], len(kt)))
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for p in range(cut(n, c), cut(n, c + 1)):
             _shares(base, w, knots, kt, p, share)
             for piece in range((len(kt) - 1) ** base.shape[1]):
                 node, size = _piece(base, frame, kt, p, share, piece)
-                g[node - shift, 0] += size * volume[p]
-                g[node - shift, 1] += size * volume[p] * amount[p]
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+                g[node, 0] += size * volume[p]
+                g[node, 1] += size * volume[p] * amount[p]
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)

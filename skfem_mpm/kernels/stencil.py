@@ -18,7 +18,7 @@ U = np.uint64
 # The least value of a linear function: a point on a face gives the far nodes, which it sees by their slopes, a mass
 # that is next to nothing but not nothing.  So nodes that are read have mass; products of three stay above zero too.
 LEAST = 2.0 ** -200
-BLOCK = 64       # points of which few enough are near the surface for most blocks to be inside
+BLOCK = 32       # points of which few enough are near the surface for most blocks to be inside
 
 
 @njit(**INLINE)
@@ -62,18 +62,20 @@ def locate(x, knots, inverse, sizes, cell, c0, c1):
 def place_linear(x, knots, inverse, sizes, cell, w, c0, c1):
     """Cells and finite element functions on equal cells."""
     n = x.shape[1]
-    for t in range(cut(n, c0), cut(n, c1), TILE):
+    for t in range(cut(n, c0), cut(n, c1), BLOCK):
         for k in range(x.shape[0]):
             axis, first, scale, last = knots[k], knots[k, 1], inverse[k, 1], sizes[k, 0] - 1
-            for q in range(t, min(t + TILE, n)):
+            for q in range(t, min(t + BLOCK, n)):
                 p = U(q)
                 here = x[k, p]
                 i = np.int64((here - first) * scale)
-                i -= np.int64(here < axis[U(i + 1)])
-                i += np.int64(here >= axis[U(i + 2)])
-                i = last if i > last else i
+                start = axis[U(i + 1)]
+                if not start <= here < axis[U(i + 2)] or i > last:      # next to a face, or on the last one
+                    i += np.int64(here >= axis[U(i + 2)]) - np.int64(here < start)
+                    i = min(i, last)
+                    start = axis[U(i + 1)]
                 cell[p, k] = i
-                at = (here - axis[U(i + 1)]) * scale
+                at = (here - start) * scale
                 rest = 1 - at
                 w[p, k, 0, 0] = rest if rest > LEAST else LEAST
                 w[p, k, 0, 1] = at if at > LEAST else LEAST
@@ -160,15 +162,15 @@ def fill_gimp_masked(x, length, knots, inverse, sizes, cell, frame, sides, base,
 @njit(**INLINE)
 def _cubic(at, scale, w, p, k):
     """All four polynomials where both neighbours are there and cells are equal, Eq. (8)."""
-    u, s, r = 1 - at, 1 + at, 2 - at
-    w[p, k, 0, 0] = -at * u * r / 6
+    u, s, r, sixth = 1 - at, 1 + at, 2 - at, 1 / 6
+    w[p, k, 0, 0] = -at * u * r * sixth
     w[p, k, 0, 1] = s * u * r / 2
     w[p, k, 0, 2] = s * at * r / 2
-    w[p, k, 0, 3] = -s * at * u / 6
-    w[p, k, 1, 0] = -(3 * at * at - 6 * at + 2) / 6 * scale
+    w[p, k, 0, 3] = -s * at * u * sixth
+    w[p, k, 1, 0] = -(3 * at * at - 6 * at + 2) * (sixth * scale)
     w[p, k, 1, 1] = (3 * at * at - 4 * at - 1) / 2 * scale
     w[p, k, 1, 2] = -(3 * at * at - 2 * at - 2) / 2 * scale
-    w[p, k, 1, 3] = (3 * at * at - 1) / 6 * scale
+    w[p, k, 1, 3] = (3 * at * at - 1) * (sixth * scale)
 
 
 @njit(**INLINE)

@@ -62,7 +62,7 @@ def turn1(sigma, grad, first, volume, hoop, bad, p0, p1):
     for q in range(p0, p1):
         p, g = U(q), U(q - first)
         ratio = 1 + grad[0, g]
-        if hoop:
+        if len(hoop):
             ratio = _with_hoop(ratio, 1 + grad[1, g])
             grad[2, g], grad[1, g], grad[3, g] = grad[1, g], 0.0, 0.0
         volume[p] *= ratio
@@ -79,8 +79,8 @@ def turn2(sigma, grad, first, volume, hoop, bad, p0, p1):
         xx, xy, yx, yy = grad[0, g], grad[1, g], grad[2, g], grad[3, g]
         sigma[0, p], sigma[1, p], sigma[3, p] = _spin2(xx, xy, yx, yy, sigma[0, p], sigma[1, p], sigma[3, p])
         ratio = (1 + xx) * (1 + yy) - xy * yx
-        ratio = _with_hoop(ratio, 1 + grad[4, g]) if hoop else ratio
-        grad[1, g], grad[2, g], grad[3, g] = yy, grad[4, g] if hoop else 0.0, (xy + yx) / 2
+        ratio = _with_hoop(ratio, 1 + grad[4, g]) if len(hoop) else ratio
+        grad[1, g], grad[2, g], grad[3, g] = yy, grad[4, g] if len(hoop) else 0.0, (xy + yx) / 2
         volume[p] *= ratio
         inverted += np.int64(not ratio > 0)
     bad[0] = inverted
@@ -113,13 +113,13 @@ def elastic1(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
     for q in range(p0, p1):
         p, g = U(q), U(q - first)
         slope = grad[0, g]
-        ring = grad[1, g] if hoop else 0.0
-        ratio = _with_hoop(1 + slope, 1 + ring) if hoop else 1 + slope
+        ring = grad[1, g] if len(hoop) else 0.0
+        ratio = _with_hoop(1 + slope, 1 + ring) if len(hoop) else 1 + slope
         part = lam * (slope + ring)
         after = sigma[0, p] + (twice * slope + part)
         sigma[0, p] = after
         wrong += np.int64(after * 0.0 != 0.0)
-        if hoop:
+        if len(hoop):
             sigma[1, p] += part
             sigma[2, p] += twice * ring + part
         volume[p] *= ratio
@@ -134,10 +134,10 @@ def elastic2(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
     for q in range(p0, p1):
         p, g = U(q), U(q - first)
         xx, xy, yx, yy = grad[0, g], grad[1, g], grad[2, g], grad[3, g]
-        ring = grad[4, g] if hoop else 0.0
+        ring = grad[4, g] if len(hoop) else 0.0
         sxx, syy, sxy = _spin2(xx, xy, yx, yy, sigma[0, p], sigma[1, p], sigma[3, p])
         ratio = (1 + xx) * (1 + yy) - xy * yx
-        ratio = _with_hoop(ratio, 1 + ring) if hoop else ratio
+        ratio = _with_hoop(ratio, 1 + ring) if len(hoop) else ratio
         part = lam * (xx + yy + ring)
         s0, s1 = sxx + (twice * xx + part), syy + (twice * yy + part)
         s2, s3 = sigma[2, p] + (twice * ring + part), sxy + twice * ((xy + yx) / 2)

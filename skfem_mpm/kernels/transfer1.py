@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .chunks import band, clear, cut, measure, pour
+from .chunks import band, closed, cut, finish, measure, opened
 from .options import INLINE, OPTIONS, TILE
 
 U = np.uint64
@@ -17,24 +17,20 @@ def p2g(base, w, m, v, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0,
     n, start, end = len(m), 0, 0
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
             mass, momentum = m[p], m[p] * v[0, p]
             stress = -volume[p] * sigma[0, p]
-            ring = -volume[p] * sigma[2, p] / x[0, p] if hoop else 0.0
-            node = U(base[p, 0] - frame[0, 0] - shift)
+            ring = -volume[p] * sigma[2, p] / x[0, p] if len(hoop) else 0.0
+            node = U(base[p, 0] - frame[0, 0])
             for a in range(len(kt)):
                 i, value, slope = node + U(a), w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
                 g[i, 0] += value * mass
                 g[i, 1] += value * momentum
                 g[i, 2] += slope * stress + value * ring
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
@@ -43,21 +39,17 @@ def p2g_mass(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
     n, start, end = len(m), 0, 0
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
             mass, momentum = m[p], m[p] * v[0, p]
-            node = U(base[p, 0] - frame[0, 0] - shift)
+            node = U(base[p, 0] - frame[0, 0])
             for a in range(len(kt)):
                 i, value = node + U(a), w[p, 0, 0, U(a)]
                 g[i, 0] += value * mass
                 g[i, 1] += value * momentum
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
@@ -66,18 +58,14 @@ def p2g_momentum(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
     n, start, end = len(m), 0, 0
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
-            momentum, node = m[p] * v[0, p], U(base[p, 0] - frame[0, 0] - shift)
+            momentum, node = m[p] * v[0, p], U(base[p, 0] - frame[0, 0])
             for a in range(len(kt)):
                 g[node + U(a), 0] += w[p, 0, 0, U(a)] * momentum
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
@@ -86,18 +74,14 @@ def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
     n, start, end = len(m), 0, 0
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
-            size, node = m[p] * slope[0, p], U(base[p, 0] - frame[0, 0] - shift)
+            size, node = m[p] * slope[0, p], U(base[p, 0] - frame[0, 0])
             for a in range(len(kt)):
                 g[node + U(a), 0] += w[p, 0, 0, U(a)] * size * (knots[0, base[p, 0] + a + 1] - x[0, p])
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
@@ -106,20 +90,16 @@ def p2g_force(base, w, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0,
     n, start, end = len(volume), 0, 0
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
             stress = -volume[p] * sigma[0, p]
-            ring = -volume[p] * sigma[2, p] / x[0, p] if hoop else 0.0
-            node = U(base[p, 0] - frame[0, 0] - shift)
+            ring = -volume[p] * sigma[2, p] / x[0, p] if len(hoop) else 0.0
+            node = U(base[p, 0] - frame[0, 0])
             for a in range(len(kt)):
                 g[node + U(a), 0] += w[p, 0, 1, U(a)] * stress + w[p, 0, 0, U(a)] * ring
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
@@ -153,7 +133,7 @@ def move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, first, lim
         work += m[p] * (moving - gained / 2)
         if len(grad):
             grad[0, at] = dt * slope
-            if hoop:
+            if len(hoop):
                 grad[1, at] = dt * moving / x[0, p]
     limits[1] = work
     measure(x, ahead, v, limits, p0, p1)
@@ -164,7 +144,7 @@ def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, c0, c1):
     """Move points with the grid."""
     n, none = len(m), np.empty((0, 0))
     for t in range(cut(n, c0), cut(n, c1), TILE):
-        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, False, none, 0, limits[t // TILE], kt, t,
+        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, (), none, 0, limits[t // TILE], kt, t,
              min(t + TILE, n))
 
 
@@ -179,7 +159,7 @@ def slopes(base, w, nodal, frame, x, dt, hoop, grad, first, kt, p0, p1):
             here += w[p, 0, 0, U(a)] * nodal[node + U(a), 0]
             slope += w[p, 0, 1, U(a)] * nodal[node + U(a), 0]
         grad[0, at] = dt * slope
-        if hoop:
+        if len(hoop):
             grad[1, at] = dt * here / x[0, p]
 
 

@@ -2,8 +2,8 @@
 
 ``base (n, dim)`` and ``w (n, dim, 2, K)`` are stencils, ``kt`` a tuple of length K, ``frame`` first node and stride of
 the window of nodes per axis.  ``rows`` holds the nodes along the first axis that each chunk may touch.  Points are
-added to ``copies``: a grid for each chunk, to be summed after; or if there is only one, as is best for one thread, the
-band of one chunk after the other, poured into ``out`` at once.  ``nodal`` holds the velocity of nodes after the
+added to ``copies``: a grid for each chunk, to be summed after; or if there is only one, as is best for one thread, to
+``out`` at once, one chunk after the other.  ``nodal`` holds the velocity of nodes after the
 step and its change.
 """
 
@@ -12,64 +12,74 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .chunks import band, clear, cut, measure, pour
-from .options import INLINE, OPTIONS, TILE
+from .chunks import band, closed, cut, finish, measure, opened
+from .options import APART, INLINE, OPTIONS, TILE
 
 U = np.uint64
 
 
 @njit(**INLINE)
-def _node(base, frame, p):
-    return (base[p, 0] - frame[0, 0]) * frame[1, 0] + base[p, 1] - frame[0, 1]
+def _steps(frame):
+    """Nodes from one row to the next, and from the first node of all to that of the window."""
+    return frame[1, 0], frame[0, 0] * frame[1, 0] + frame[0, 1]
+
+
+@njit(**INLINE)
+def _node(base, row, origin, p):
+    return base[p, 0] * row + base[p, 1] - origin
+
+
+@njit(**APART)
+def _add(base, w, m, v, volume, sigma, x, hoop, row, origin, g, kt, p0, p1):
+    """Mass, momentum and internal force of a range of points."""
+    stride = U(row)
+    for q in range(p0, p1):
+        p = U(q)
+        mass, size = m[p], -volume[p]
+        mx, my = mass * v[0, p], mass * v[1, p]
+        sxx, syy, sxy = size * sigma[0, p], size * sigma[1, p], size * sigma[3, p]
+        node = U(_node(base, row, origin, p))
+        for a in range(len(kt)):
+            wx, dx = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
+            mw, ux, uy = wx * mass, wx * mx, wx * my
+            c3, c4, c5, c6 = dx * sxx, dx * sxy, wx * sxy, wx * syy
+            if len(hoop):
+                c3 += wx * (size * sigma[2, p] / x[0, p])
+            for b in range(len(kt)):
+                i, wy, dy = node + U(b), w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
+                g[i, 0] += wy * mw
+                g[i, 1] += wy * ux
+                g[i, 2] += wy * uy
+                g[i, 3] += wy * c3 + dy * c5
+                g[i, 4] += wy * c4 + dy * c6
+            node += stride
 
 
 @njit(**OPTIONS)
 def p2g(base, w, m, v, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0, c1):
     """Mass, momentum and internal force."""
     n, start, end = len(m), 0, 0
-    stride = U(frame[1, 0])
+    row, origin = _steps(frame)
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
-        for q in range(cut(n, c), cut(n, c + 1)):
-            p = U(q)
-            mass, size = m[p], -volume[p]
-            mx, my = mass * v[0, p], mass * v[1, p]
-            sxx, syy, sxy = size * sigma[0, p], size * sigma[1, p], size * sigma[3, p]
-            ring = size * sigma[2, p] / x[0, p] if hoop else 0.0
-            node = U(_node(base, frame, p) - shift)
-            for a in range(len(kt)):
-                wx, dx = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
-                mw, ux, uy, c3, c4 = wx * mass, wx * mx, wx * my, dx * sxx + wx * ring, dx * sxy
-                c5, c6 = wx * sxy, wx * syy
-                for b in range(len(kt)):
-                    i, wy, dy = node + U(b), w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
-                    g[i, 0] += wy * mw
-                    g[i, 1] += wy * ux
-                    g[i, 2] += wy * uy
-                    g[i, 3] += wy * c3 + dy * c5
-                    g[i, 4] += wy * c4 + dy * c6
-                node += stride
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        g = opened(out, copies, c, low, high, start, end)
+        _add(base, w, m, v, volume, sigma, x, hoop, row, origin, g, kt, cut(n, c), cut(n, c + 1))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
 def p2g_mass(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
     """Mass and momentum."""
     n, start, end = len(m), 0, 0
-    stride = U(frame[1, 0])
+    row, origin = _steps(frame)
+    stride = U(row)
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
-            mass, node = m[p], U(_node(base, frame, p) - shift)
+            mass, node = m[p], U(_node(base, row, origin, p))
             mx, my = mass * v[0, p], mass * v[1, p]
             for a in range(len(kt)):
                 wx = w[p, 0, 0, U(a)]
@@ -80,25 +90,22 @@ def p2g_mass(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
                     g[i, 1] += wy * ux
                     g[i, 2] += wy * uy
                 node += stride
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
 def p2g_momentum(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
     """Momentum alone."""
     n, start, end = len(m), 0, 0
-    stride = U(frame[1, 0])
+    row, origin = _steps(frame)
+    stride = U(row)
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
-            mx, my, node = m[p] * v[0, p], m[p] * v[1, p], U(_node(base, frame, p) - shift)
+            mx, my, node = m[p] * v[0, p], m[p] * v[1, p], U(_node(base, row, origin, p))
             for a in range(len(kt)):
                 ux, uy = w[p, 0, 0, U(a)] * mx, w[p, 0, 0, U(a)] * my
                 for b in range(len(kt)):
@@ -106,26 +113,23 @@ def p2g_momentum(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
                     g[i, 0] += wy * ux
                     g[i, 1] += wy * uy
                 node += stride
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
 def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
     """Momentum of velocity gradients ``slope (dim * dim, n)``."""
     n, start, end = len(m), 0, 0
-    stride = U(frame[1, 0])
+    row, origin = _steps(frame)
+    stride = U(row)
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p, mass = U(q), m[q]
             xx, xy, yx, yy = mass * slope[0, p], mass * slope[1, p], mass * slope[2, p], mass * slope[3, p]
-            node = U(_node(base, frame, p) - shift)
+            node = U(_node(base, row, origin, p))
             for a in range(len(kt)):
                 wx, rx = w[p, 0, 0, U(a)], knots[0, base[p, 0] + a + 1] - x[0, p]
                 for b in range(len(kt)):
@@ -133,50 +137,47 @@ def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
                     g[i, 0] += value * (xx * rx + xy * ry)
                     g[i, 1] += value * (yx * rx + yy * ry)
                 node += stride
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
 def p2g_force(base, w, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0, c1):
     """Internal force."""
     n, start, end = len(volume), 0, 0
-    stride = U(frame[1, 0])
+    row, origin = _steps(frame)
+    stride = U(row)
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
             size = -volume[p]
             sxx, syy, sxy = size * sigma[0, p], size * sigma[1, p], size * sigma[3, p]
-            ring = size * sigma[2, p] / x[0, p] if hoop else 0.0
-            node = U(_node(base, frame, p) - shift)
+            node = U(_node(base, row, origin, p))
             for a in range(len(kt)):
                 wx, dx = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
-                c3, c4, c5, c6 = dx * sxx + wx * ring, dx * sxy, wx * sxy, wx * syy
+                c3, c4, c5, c6 = dx * sxx, dx * sxy, wx * sxy, wx * syy
+                if len(hoop):
+                    c3 += wx * (size * sigma[2, p] / x[0, p])
                 for b in range(len(kt)):
                     i, wy, dy = node + U(b), w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
                     g[i, 0] += wy * c3 + dy * c5
                     g[i, 1] += wy * c4 + dy * c6
                 node += stride
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
 def interpolate(base, w, nodal, frame, out, kt, c0, c1):
     """Nodal vectors at the points."""
-    n, stride = out.shape[1], U(frame[1, 0])
+    n = out.shape[1]
+    row, origin = _steps(frame)
+    stride = U(row)
     for q in range(cut(n, c0), cut(n, c1)):
         p = U(q)
-        node = U(_node(base, frame, p))
+        node = U(_node(base, row, origin, p))
         vx = vy = 0.0
         for a in range(len(kt)):
             wx = w[p, 0, 0, U(a)]
@@ -194,10 +195,11 @@ def move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, first, lim
 
     ``limits`` takes mass times mean velocity and what :func:`~skfem_mpm.kernels.chunks.measure` finds.
     """
-    stride, workx, worky = U(frame[1, 0]), 0.0, 0.0
+    row, origin = _steps(frame)
+    stride, workx, worky = U(row), 0.0, 0.0
     for q in range(p0, p1):
         p, at = U(q), U(q - first)
-        node = U(_node(base, frame, p))
+        node = U(_node(base, row, origin, p))
         vx = vy = gx = gy = xx = xy = yx = yy = 0.0
         for a in range(len(kt)):
             wx, dx = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
@@ -227,7 +229,7 @@ def move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, first, lim
         worky += m[p] * (vy - gy / 2)
         if len(grad):
             grad[0, at], grad[1, at], grad[2, at], grad[3, at] = dt * xx, dt * xy, dt * yx, dt * yy
-            if hoop:
+            if len(hoop):
                 grad[4, at] = dt * vx / x[0, p]
     limits[1], limits[2] = workx, worky
     measure(x, ahead, v, limits, p0, p1)
@@ -238,17 +240,18 @@ def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, c0, c1):
     """Move points with the grid."""
     n, none = len(m), np.empty((0, 0))
     for t in range(cut(n, c0), cut(n, c1), TILE):
-        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, False, none, 0, limits[t // TILE], kt, t,
+        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, (), none, 0, limits[t // TILE], kt, t,
              min(t + TILE, n))
 
 
 @njit(**INLINE)
 def slopes(base, w, nodal, frame, x, dt, hoop, grad, first, kt, p0, p1):
     """Displacement gradient of a tile over a step."""
-    stride = U(frame[1, 0])
+    row, origin = _steps(frame)
+    stride = U(row)
     for q in range(p0, p1):
         p, at = U(q), U(q - first)
-        node = U(_node(base, frame, p))
+        node = U(_node(base, row, origin, p))
         vx = xx = xy = yx = yy = 0.0
         for a in range(len(kt)):
             wx, dx = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
@@ -267,7 +270,7 @@ def slopes(base, w, nodal, frame, x, dt, hoop, grad, first, kt, p0, p1):
             yy += wx * sy
             node += stride
         grad[0, at], grad[1, at], grad[2, at], grad[3, at] = dt * xx, dt * xy, dt * yx, dt * yy
-        if hoop:
+        if len(hoop):
             grad[4, at] = dt * vx / x[0, p]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .chunks import band, clear, cut, measure, pour
+from .chunks import band, closed, cut, finish, measure, opened
 from .options import INLINE, OPTIONS, TILE
 
 U = np.uint64
@@ -31,14 +31,13 @@ def p2g(base, w, m, v, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0,
     row, layer = U(frame[1, 1]), U(frame[1, 0])
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
             mass = m[p]
             mx, my, mz = mass * v[0, p], mass * v[1, p], mass * v[2, p]
             sxx, syy, szz, sxy, syz, sxz = _stress(volume, sigma, p)
-            first = U(_node(base, frame, p) - shift)
+            first = U(_node(base, frame, p))
             for a in range(len(kt)):
                 wx, dx, node = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)], first
                 for b in range(len(kt)):
@@ -59,11 +58,8 @@ def p2g(base, w, m, v, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0,
                         g[i, 6] += wz * f3 + dz * s3
                     node += row
                 first += layer
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
@@ -73,11 +69,10 @@ def p2g_mass(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
     row, layer = U(frame[1, 1]), U(frame[1, 0])
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
-            mass, first = m[p], U(_node(base, frame, p) - shift)
+            mass, first = m[p], U(_node(base, frame, p))
             mx, my, mz = mass * v[0, p], mass * v[1, p], mass * v[2, p]
             for a in range(len(kt)):
                 node = first
@@ -92,11 +87,8 @@ def p2g_mass(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
                         g[i, 3] += wz * uz
                     node += row
                 first += layer
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
@@ -106,11 +98,10 @@ def p2g_momentum(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
     row, layer = U(frame[1, 1]), U(frame[1, 0])
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
-            mx, my, mz, first = m[p] * v[0, p], m[p] * v[1, p], m[p] * v[2, p], U(_node(base, frame, p) - shift)
+            mx, my, mz, first = m[p] * v[0, p], m[p] * v[1, p], m[p] * v[2, p], U(_node(base, frame, p))
             for a in range(len(kt)):
                 node = first
                 for b in range(len(kt)):
@@ -123,11 +114,8 @@ def p2g_momentum(base, w, m, v, frame, out, copies, rows, kt, c0, c1):
                         g[i, 2] += wz * uz
                     node += row
                 first += layer
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
@@ -137,11 +125,10 @@ def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
     row, layer = U(frame[1, 1]), U(frame[1, 0])
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
-            first = U(_node(base, frame, p) - shift)
+            first = U(_node(base, frame, p))
             for a in range(len(kt)):
                 node, rx = first, knots[0, base[p, 0] + a + 1] - x[0, p]
                 for b in range(len(kt)):
@@ -153,11 +140,8 @@ def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
                         g[i, 2] += size * (slope[6, p] * rx + slope[7, p] * ry + slope[8, p] * rz)
                     node += row
                 first += layer
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
@@ -167,12 +151,11 @@ def p2g_force(base, w, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0,
     row, layer = U(frame[1, 1]), U(frame[1, 0])
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
-        shift, g = low if len(copies) == 1 else 0, copies[c % len(copies)]
-        clear(g, low - shift, high - shift)
+        g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
             sxx, syy, szz, sxy, syz, sxz = _stress(volume, sigma, p)
-            first = U(_node(base, frame, p) - shift)
+            first = U(_node(base, frame, p))
             for a in range(len(kt)):
                 wx, dx, node = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)], first
                 for b in range(len(kt)):
@@ -188,11 +171,8 @@ def p2g_force(base, w, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0,
                         g[i, 2] += wz * f3 + dz * s3
                     node += row
                 first += layer
-        if len(copies) == 1:
-            start, end = pour(g, out, low, high, start, end)
-    if len(copies) == 1:
-        clear(out, 0, start)
-        clear(out, end, len(out))
+        start, end = closed(out, copies, low, high, start, end)
+    finish(out, copies, start, end)
 
 
 @njit(**OPTIONS)
@@ -299,7 +279,7 @@ def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, c0, c1):
     """Move points with the grid."""
     n, none = len(m), np.empty((0, 0))
     for t in range(cut(n, c0), cut(n, c1), TILE):
-        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, False, none, 0, limits[t // TILE], kt, t,
+        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, (), none, 0, limits[t // TILE], kt, t,
              min(t + TILE, n))
 
 
