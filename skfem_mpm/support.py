@@ -42,9 +42,7 @@ class Support:
 
     def __init__(self, mesh: Any, particles: Particles, method: Method, edges: Edges, boundary: Sequence[Any]):
         self.full = full = Grid.from_mesh(mesh)
-        if full.dim != particles.dim:
-            raise ValueError(f"particles: got points in {particles.dim} dimension(s) on a mesh in {full.dim}; make "
-                             "both of the same dimension.")
+        full.check_dim(particles.dim)
         self.method = method
         self.edges = edges
         self.particles = particles

@@ -5,7 +5,7 @@ assembles) stands in two modules of this folder, ``particle`` and ``points``; th
 """
 
 from .grid_bases import CMPMBasis, GIMPBasis
-from .method import METHODS, Method
+from .method import METHODS, Method, find_method
 from .particle import ParticleBasis
 
-__all__ = ["METHODS", "CMPMBasis", "GIMPBasis", "Method", "ParticleBasis"]
+__all__ = ["METHODS", "CMPMBasis", "GIMPBasis", "Method", "ParticleBasis", "find_method"]

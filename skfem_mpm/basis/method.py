@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..checks import check_choice
 from .grid_bases import CMPMBasis, GIMPBasis
 from .particle import ParticleBasis
 
@@ -23,6 +24,11 @@ class Method:
     strain: type[ParticleBasis]
     force: type[ParticleBasis]
 
+    @property
+    def conjugate(self) -> bool:
+        """Whether force is carried by the functions that recover strain, which makes the operator symmetric."""
+        return self.strain is self.force
+
     def __post_init__(self) -> None:
         if self.mass is CMPMBasis:
             raise ValueError("mass: got CMPMBasis, whose functions take negative values; map mass with ParticleBasis "
@@ -37,3 +43,11 @@ METHODS = {
     "gc": Method(GIMPBasis, CMPMBasis, GIMPBasis),
     "cmpm-c": Method(ParticleBasis, CMPMBasis, CMPMBasis),
 }
+
+
+def find_method(method: str | Method) -> Method:
+    """A method by its name in ``METHODS``, or a method as it is."""
+    if isinstance(method, Method):
+        return method
+    check_choice("method", method, METHODS)
+    return METHODS[method]

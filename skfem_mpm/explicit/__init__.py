@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from skfem import Mesh
 
-from ..basis import METHODS, Method
+from ..basis import Method, find_method
 from ..checks import check_array, check_choice
 from ..grid import EDGES, Edges
 from ..kinematics import RATES
 from ..particles import Particles
 from .engine import ENGINES, make_run
 from .run import Run
-from .state import LEDGER, Choices, ExplicitState
+from .state import LEDGER, Choices, ExplicitState, remaps
 
 __all__ = ["ExplicitState", "explicit_steps"]
 
@@ -119,15 +119,12 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     >>> bool(abs(next(run).particles.velocity).max() < 1.0)
     True
     """
-    if not isinstance(method, Method):
-        check_choice("method", method, METHODS)
-        method = METHODS[method]
+    method = find_method(method)
     for name, value, names in [("strain", strain, RATES), ("integrator", integrator, INTEGRATORS),
                                ("edges", edges, EDGES), ("remedy", remedy, REMEDIES), ("leaving", leaving, LEAVING),
                                ("engine", engine, ENGINES)]:
         check_choice(name, value, names)
-    remaps = integrator != "usl" and not tpic
-    refresh = refresh if refresh is not None else 50 if remaps else 1
+    refresh = refresh if refresh is not None else 50 if remaps(integrator, tpic) else 1
     _check_numbers({"steps": (steps, 1), "every": (every, 1), "refresh": (refresh, 1), "xpic": (xpic, 0),
                     "threads": (threads, 1)}, {"flip": flip, "damping": damping, "safety": safety},
                    {"dt": dt, "every_seconds": every_seconds})
@@ -142,7 +139,7 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
         raise ValueError("remedy: got 'bbar' with edges='truncate', where nodes are missing that say how much of a "
                          "domain is in which cell; use edges='ghost' or 'clip'.")
     load = _load(gravity, ramp, start.particles.dim if isinstance(start, ExplicitState) else start.dim)
-    if method.strain is not method.force:
+    if not method.conjugate:
         warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow, at any time step; "
                       "with 'cmpm-c' and 'gimp' they do not.", UserWarning, stacklevel=2)
     choices = Choices(method, strain, integrator, edges, flip, xpic, bool(tpic), damping, load, dt, safety,

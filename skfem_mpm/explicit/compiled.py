@@ -16,13 +16,13 @@ from ..kernels.options import TILE
 from ..materials import LinearElastic, VonMises
 from .nodes import Nodes
 from .pairs import stable_step
-from .run import Run
-from .state import Choices, ExplicitState
+from .run import POINT_ARRAYS, Run
+from .state import Choices, ExplicitState, remaps
 from .sums import NONE, NOTHING, Sums
 from .tables import Tables
 
 SORT_EVERY = 100
-POINT_ARRAYS = ("x", "ahead", "volume", "mass", "velocity", "sigma", "epsilon", "history", "length", "slope")
+ARRAYS = (*POINT_ARRAYS, "ahead")
 FATAL = chunks.NOT_FINITE | chunks.FAR | chunks.TURNED
 
 
@@ -56,14 +56,14 @@ class CompiledRun(Run):
 
     def _arrange(self, order: ndarray) -> None:
         """Take points in another order."""
-        for name in POINT_ARRAYS:
+        for name in ARRAYS:
             array = getattr(self, name)
             if array is not None:
                 setattr(self, name, np.take(array, order, axis=-1))
 
     def _in_users_order(self) -> None:
         """Give all arrays back in the user's order; the engine's own are left alone."""
-        for name in POINT_ARRAYS:
+        for name in ARRAYS:
             array = getattr(self, name)
             if array is not None:
                 back = np.empty_like(array)
@@ -98,13 +98,6 @@ class CompiledRun(Run):
         self.tables.measure(self.x, self.velocity)
 
     # -- one step ----------------------------------------------------------------------------------------------------
-
-    def advance(self) -> None:
-        """Take one time step."""
-        with np.errstate(invalid="ignore", over="ignore"):
-            self._advance()
-        self.step, self.time = self.step + 1, self.time + self.dt
-        self.work["peak"] = max(self.work["peak"], abs(self.work["external"]))
 
     def _advance(self) -> None:
         choices, tables, sums = self.choices, self.tables, self.sums
@@ -186,12 +179,13 @@ class CompiledRun(Run):
 
     def _find_step(self) -> None:
         """Find the stable time step of this layout."""
-        method, last = self.choices.method, self.choices.integrator == "usl"
+        choices, method, last = self.choices, self.choices.method, self.choices.integrator == "usl"
         if self.dim == 1 or self.hoop or type(self.material) not in (LinearElastic, VonMises):
             return self._refresh(Nodes(self.grid, self.kinematics, self.x, self.mass, self.length, method,
-                                       self.choices.edges, self.planes))
+                                       choices.edges, self.planes))
         self._map_points(NONE)
-        self._take_step(stable_step(self.sums, self.material, self.volume, self.mass, self.remaps, last))
+        self._take_step(stable_step(self.sums, self.material, self.volume, self.mass,
+                                    remaps(choices.integrator, choices.tpic), last))
 
     # -- to the nodes and back ---------------------------------------------------------------------------------------
 
@@ -325,7 +319,7 @@ class CompiledRun(Run):
 
     def snapshot(self) -> ExplicitState:
         """The state now, frozen, in the user's order."""
-        held = {name: getattr(self, name) for name in (*POINT_ARRAYS, "order")}
+        held = {name: getattr(self, name) for name in (*ARRAYS, "order")}
         self._in_users_order()
         try:
             state = super().snapshot()

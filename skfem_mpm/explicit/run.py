@@ -10,14 +10,15 @@ import numpy as np
 from numpy import ndarray
 from skfem import Mesh
 
-from ..checks import OutsideGridError, UnstableError
+from ..checks import OutsideGridError, UnstableError, check_positive
 from ..grid import Grid
 from ..kinematics import RATES, check_law
 from .bound import stable_step
 from .dilation import CellMeans
 from .nodes import Nodes
-from .state import LEDGER, Choices, ExplicitState
+from .state import LEDGER, Choices, ExplicitState, remaps
 
+POINT_ARRAYS = ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope")
 RUNAWAY = 10.0     # a body with so many times the energy it was given is unstable
 
 
@@ -65,13 +66,8 @@ class Run:
     def _check(self, start: ExplicitState) -> None:
         """Refuse what does not fit together."""
         particles, grid = start.particles, self.grid
-        if grid.dim != particles.dim:
-            raise ValueError(f"particles: got points in {particles.dim} dimension(s) on a mesh in {grid.dim}; make "
-                             "both of the same dimension.")
-        if not (particles.mass > 0).all():
-            point = int(np.flatnonzero(~(particles.mass > 0))[0])
-            raise ValueError(f"mass: got {particles.mass[point]} at point {point}, expected numbers above zero; give "
-                             "the particles a density.")
+        grid.check_dim(particles.dim)
+        check_positive("mass", particles.mass)
         rows, wanted = 0 if particles.history is None else len(particles.history), len(self.material.history)
         if rows not in (0, wanted):
             raise ValueError(f"history: got {rows} row(s), expected {wanted} for {type(self.material).__name__} "
@@ -195,13 +191,8 @@ class Run:
         volume = self.volume
         if self.material.kirchhoff:           # what is linear in strain is Cauchy stress times the volume ratio
             volume = volume * np.exp(-self.epsilon[:3].sum(axis=0))
-        self._take_step(stable_step(nodes, moduli, volume, self.mass, self.remaps,
-                                    self.choices.integrator == "usl"))
-
-    @property
-    def remaps(self) -> bool:
-        """Whether strain comes from velocities that were mapped to the points and back, and are smoother for it."""
-        return self.choices.integrator != "usl" and not self.choices.tpic
+        integrator, tpic = self.choices.integrator, self.choices.tpic
+        self._take_step(stable_step(nodes, moduli, volume, self.mass, remaps(integrator, tpic), integrator == "usl"))
 
     def _take_step(self, stable: float) -> None:
         """Choose the time step, knowing the stable one."""
@@ -260,7 +251,7 @@ class Run:
         before = sum(self._stored().values())
         self.kept = (np.arange(len(mask)) if self.kept is None else self.kept)[mask]
         self.particles = self.particles.where(mask)
-        for name in ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope"):
+        for name in POINT_ARRAYS:
             array = getattr(self, name)
             if array is not None:
                 setattr(self, name, array[..., mask])
@@ -276,7 +267,7 @@ class Run:
 
     def _stop(self, what: str, point: int) -> None:
         cure = f"A shorter time step (it was {self.dt:g}) is the likely cure."
-        if self.choices.method.strain is not self.choices.method.force:
+        if not self.choices.method.conjugate:
             cure = "Elastic waves grow with this method at any time step; 'cmpm-c' and 'gimp' are the likely cure."
         raise UnstableError(f"{self._whereabouts(point)} {what}; the last good state is in .state.  {cure}", self.last)
 

@@ -91,3 +91,8 @@ class Choices:
     refresh: int
     remedy: str
     leaving: str
+
+
+def remaps(integrator: str, tpic: bool) -> bool:
+    """Whether strain comes from velocities that were mapped to the points and back, and are smoother for it."""
+    return integrator != "usl" and not tpic

@@ -34,7 +34,7 @@ class Window:
         first, shape = low - MARGIN, high - low + 2 + 2 * MARGIN
         stride = np.cumprod(np.concatenate([[1], shape[:0:-1]]))[::-1]
         self.frame = np.stack([first, stride]).astype(np.int64)
-        self.shape, self.nnodes = shape, int(np.prod(shape))
+        self.nnodes = int(np.prod(shape))
         part = grid.window(np.stack([low, high], axis=1), MARGIN)
         clipped = tuple(slice(max(-f, 0), max(-f, 0) + size) for f, size in zip(first, part.vertices.shape))
         number = np.arange(self.nnodes).reshape(shape)[clipped].ravel()
@@ -47,8 +47,6 @@ class Window:
                                                                for i, _, signs in found])
         self.all_signs = np.concatenate([np.ones((len(self.inside), 1)), self.signs], axis=1)
         self.no_signs = np.ones((len(self.inside), 1))
-        self.mirrored = np.zeros(self.nnodes, dtype=np.uint8)
-        self.mirrored[self.outside] = 1
         self._neighbours(stride)
         self.sides = self._edge_sides(grid, first, shape, edges == "clip")
 

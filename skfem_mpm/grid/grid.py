@@ -111,6 +111,12 @@ class Grid:
                                    "use a larger mesh or smaller steps.")
         return index
 
+    def check_dim(self, dim: int) -> None:
+        """Refuse points in another dimension."""
+        if dim != self.dim:
+            raise ValueError(f"particles: got points in {dim} dimension(s) on a mesh in {self.dim}; make both of the "
+                             "same dimension.")
+
     def outside(self, x: ndarray, length: ndarray | None = None) -> ndarray:
         """Which points ``(dim, n)`` are outside, or do not have their whole domain inside."""
         half = 0.0 if length is None else length * (0.5 - 1e-12)      # a domain that ends on the edge may round over it

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from skfem import Mesh
 
-from ..basis import METHODS, Method
+from ..basis import Method, find_method
 from ..checks import NotConvergedError, OutsideGridError, check_choice
 from ..grid import EDGES, Edges
 from ..integration import INTEGRATIONS
@@ -113,9 +113,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
 
 def _check(method: str | Method, strain: str, scheme: str, weights: str, integration: str, edges: Edges,
            tangent: str | None, floor: float, tolerance: float, solver: Solver | None) -> Options:
-    if not isinstance(method, Method):
-        check_choice("method", method, METHODS)
-        method = METHODS[method]
+    method = find_method(method)
     for name, value, choices in [("strain", strain, STRAINS), ("scheme", scheme, SCHEMES),
                                  ("weights", weights, WEIGHTS), ("integration", integration, INTEGRATIONS),
                                  ("edges", edges, EDGES)]:
