@@ -35,7 +35,7 @@ from tqdm import tqdm
 from skfem_mpm import METHODS, LinearElastic, Particles, UnstableError, explicit_steps, plane_strain, uniaxial
 from skfem_mpm.explicit.nodes import Nodes
 from skfem_mpm.grid import Grid
-from skfem_mpm.integration import PointIntegration
+from skfem_mpm.integration import on_points
 
 warnings.filterwarnings("ignore", message="the strain of this method is not conjugate")     # that is the question
 COLOURS = dict(zip(METHODS, ["tab:red", "tab:blue", "tab:green", "tab:cyan", "tab:purple", "tab:orange"]))
@@ -80,7 +80,7 @@ def body_of(dim, cells, shift=0.0, jitter=0.0, seed=0, room=0):
 def operators(mesh, body, method):
     """The nodes of a step, and stiffness and consistent mass over their components (component fastest)."""
     nodes = Nodes(Grid.from_mesh(mesh), body.kinematics, body.x, body.mass, body.length, METHODS[method], "ghost", ())
-    points = PointIntegration(body.kinematics, nodes.force.stencil, nodes.strain.stencil, body.volume, body.x[0])
+    points = on_points(body.kinematics, nodes.force.stencil, nodes.strain.stencil, body.volume, body.x[0])
     dim, size = body.dim, nodes.grid.nnodes
     moduli = LAW[dim].tangent(None, None, None, body.kinematics.rows(dim))
     stiffness = points.tangent(moduli, np.arange(dim * size).reshape(size, dim).T, dim * size)

@@ -9,7 +9,7 @@ from skfem_mpm import METHODS, LinearElastic, Particles, axisymmetric, plane_str
 from skfem_mpm.explicit.bound import block_norms
 from skfem_mpm.explicit.nodes import Nodes
 from skfem_mpm.grid import Grid
-from skfem_mpm.integration import PointIntegration
+from skfem_mpm.integration import on_points
 
 MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
 CASES = [(uniaxial, 1), (axisymmetric, 1), (plane_strain, 2), (axisymmetric, 2), (solid, 3)]
@@ -31,7 +31,7 @@ def layout(kinematics, dim, method, cells=4, per_cell=2):
 
 def expected(nodes, moduli, volume):
     dim, size = nodes.grid.dim, nodes.grid.nnodes
-    operator = PointIntegration(nodes.kinematics, nodes.force.stencil, nodes.strain.stencil, volume, nodes.x[0])
+    operator = on_points(nodes.kinematics, nodes.force.stencil, nodes.strain.stencil, volume, nodes.x[0])
     number = np.arange(dim * size).reshape(size, dim).T
     blocks = operator.tangent(moduli, number, dim * size).toarray().reshape(size, dim, size, dim)
     return np.sqrt((blocks ** 2).sum(axis=(1, 3)))

@@ -29,7 +29,7 @@ from skfem_mpm.explicit.nodes import Nodes
 from skfem_mpm.explicit.run import Run
 from skfem_mpm.explicit.state import LEDGER, Choices, ExplicitState
 from skfem_mpm.grid import Grid
-from skfem_mpm.integration import PointIntegration
+from skfem_mpm.integration import on_points
 from skfem_mpm.kinematics import Objective
 
 LAW = LinearElastic(E=100.0, nu=0.3)
@@ -493,7 +493,7 @@ def layout(dim, seed, grazing=False):
 
 def exact_step(nodes, body, integrator, law=LAW):
     """The longest stable step of a frozen layout, with light and mirrored nodes as a step treats them."""
-    operator = PointIntegration(body.kinematics, nodes.force.stencil, nodes.strain.stencil, body.volume, body.x[0])
+    operator = on_points(body.kinematics, nodes.force.stencil, nodes.strain.stencil, body.volume, body.x[0])
     moduli = law.tangent(None, None, None, body.kinematics.rows(body.dim))[:, :, 0]
     free = nodes.active & ~nodes.fixed
     root = np.sqrt(nodes.mass)

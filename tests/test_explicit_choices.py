@@ -29,7 +29,7 @@ from skfem_mpm.explicit.dilation import CellMeans
 from skfem_mpm.explicit.nodes import Nodes
 from skfem_mpm.explicit.operators import Operators
 from skfem_mpm.grid import Grid
-from skfem_mpm.integration import PointIntegration
+from skfem_mpm.integration import on_points
 
 LAW = LinearElastic(E=100.0, nu=0.3)
 MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
@@ -74,7 +74,7 @@ def spin(particles):
 def test_sparse_operators_are_the_forms_of_point_integration(kinematics, dim, method):
     mesh, body = boxed(dim, kinematics=kinematics)
     nodes, random = nodes_of(mesh, body, method), np.random.default_rng(1)
-    twin = PointIntegration(kinematics, nodes.force.stencil, nodes.strain.stencil, body.volume, body.x[0])
+    twin = on_points(kinematics, nodes.force.stencil, nodes.strain.stencil, body.volume, body.x[0])
     u, stress = random.normal(size=(dim, nodes.grid.nnodes)), random.normal(size=(len(twin.rows), body.n))
     assert_allclose(nodes.strain.gradient(u), twin.gradient(u), atol=1e-12)
     assert_allclose(nodes.force.force(body.volume * stress), twin.force(stress), atol=1e-13)

@@ -22,7 +22,7 @@ from skfem_mpm import METHODS, Hencky, LinearElastic, Particles, axisymmetric, p
 from skfem_mpm.boundary import FixedPlane
 from skfem_mpm.grid import Grid
 from skfem_mpm.implicit import implicit_steps
-from skfem_mpm.integration import INTEGRATIONS, PointIntegration
+from skfem_mpm.integration import INTEGRATIONS, find_integration, on_points
 from skfem_mpm.kinematics import Logarithmic
 from skfem_mpm.support import Support
 
@@ -53,7 +53,7 @@ class Scene:
                                    length=random.uniform(0.02, 0.19, (dim, n)))
         self.force, self.strain = (getattr(METHODS[method], part)(self.mesh, self.elem, self.particles)
                                    for part in ("force", "strain"))
-        self.operator = PointIntegration(kinematics, self.force.stencil, self.strain.stencil, self.particles.volume,
+        self.operator = on_points(kinematics, self.force.stencil, self.strain.stencil, self.particles.volume,
                                          x[0])
         self.rows = kinematics.rows(dim)
         self.dofs = self.force.nodal_dofs[:, Grid.from_mesh(self.mesh).vertices.ravel()]    # (dim, nodes of the grid)
@@ -224,7 +224,7 @@ def test_cmpm_recovers_a_strain_that_is_not_conjugate_to_its_force(method):
 
 
 def test_all_ways_to_integrate_have_a_name():
-    assert INTEGRATIONS["points"] is PointIntegration
+    assert find_integration("points") is INTEGRATIONS["points"]
 
 
 # Which nodes carry the body.

@@ -16,7 +16,7 @@ from ..kinematics import Kinematics
 class Operators:
     r"""Value :math:`N` and slopes :math:`\partial_l N` of the functions that points see, each made when first needed.
 
-    Sparse twin of :class:`~skfem_mpm.integration.PointIntegration`; nodal arrays are ``(k, nnodes)``.
+    Sparse twin of :class:`~skfem_mpm.integration.Pair`; nodal arrays are ``(k, nnodes)``.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from skfem import Mesh
 from ..basis import Method, find_method
 from ..checks import NotConvergedError, OutsideGridError, check_choice
 from ..grid import EDGES, Edges
-from ..integration import INTEGRATIONS
+from ..integration import find_integration
 from ..kinematics import STRAINS
 from ..particles import Particles
 from ..weights import WEIGHTS
@@ -30,7 +30,7 @@ TANGENTS = ("exact", "conjugate")
 def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | State, material: Any,
                    boundary: Sequence[Any] | None = None, *, steps: int, method: str | Method = "mpm",
                    strain: str = "logarithmic", scheme: str = "equilibrated", weights: str = "one",
-                   integration: str = "points", edges: Edges = "ghost", tangent: str | None = None,
+                   integration: Any = "points", edges: Edges = "ghost", tangent: str | None = None,
                    gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, tolerance: float = 1e-11,
                    max_cuts: int = 6) -> Iterator[State]:
     """Bring a body to equilibrium load step by load step; yields a :class:`State` after each.
@@ -111,12 +111,11 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     return _run(mesh, state, material, options, int(steps), load, max_cuts)
 
 
-def _check(method: str | Method, strain: str, scheme: str, weights: str, integration: str, edges: Edges,
+def _check(method: str | Method, strain: str, scheme: str, weights: str, integration: Any, edges: Edges,
            tangent: str | None, floor: float, tolerance: float, solver: Solver | None) -> Options:
     method = find_method(method)
     for name, value, choices in [("strain", strain, STRAINS), ("scheme", scheme, SCHEMES),
-                                 ("weights", weights, WEIGHTS), ("integration", integration, INTEGRATIONS),
-                                 ("edges", edges, EDGES)]:
+                                 ("weights", weights, WEIGHTS), ("edges", edges, EDGES)]:
         check_choice(name, value, choices)
     tangent = tangent or ("exact" if scheme == "equilibrated" else "conjugate")
     check_choice("tangent", tangent, TANGENTS)
@@ -125,7 +124,7 @@ def _check(method: str | Method, strain: str, scheme: str, weights: str, integra
             raise ValueError(f"{name}: got {number!r}, expected a number from 0 to below 1.")
     if solver is not None and not callable(solver):
         raise TypeError(f"solver: got {type(solver).__name__}, expected a function solver(A, b) that returns x.")
-    return Options(method, strain, scheme, weights, integration, edges, tangent, floor, tolerance,
+    return Options(method, strain, scheme, weights, find_integration(integration), edges, tangent, floor, tolerance,
                    solver or solve_direct)
 
 

@@ -95,7 +95,7 @@ class Options:
     strain: str
     scheme: str
     weights: str
-    integration: str
+    integration: Any
     edges: Edges
     tangent: str
     floor: float

@@ -14,7 +14,7 @@ from skfem import Mesh
 from ..basis import ParticleBasis
 from ..checks import check_array
 from ..grid import Edges, Grid
-from ..integration import INTEGRATIONS
+from ..integration import on_points
 from ..kinematics import STRAINS, Kinematics
 from ..particles import Particles
 from ..support import Support, stack_rows
@@ -79,9 +79,7 @@ class Step:
         support, points = self.support, self.particles
         factor = weights(self.options.weights, support.grid, support.index, points.x, points.volume,
                          points.kinematics.hoop, points.length)
-        integration = INTEGRATIONS[self.options.integration]
-        return integration(points.kinematics, support.stencil(force), support.stencil(strain),
-                           factor * points.volume, points.x[0])
+        return self.options.integration.pair(support, force, strain, factor)
 
     def _floor_stiffness(self) -> csc_array:
         """Soft stiffness of whole cells, with two Gauss points per axis; ordinary finite elements."""
@@ -101,7 +99,7 @@ class Step:
         volume = step.prod(axis=0) / 2 ** dim * radius
         stencil = grid.linear(x, index)
         moduli = self._elastic().mean(axis=2, keepdims=True)
-        floor = INTEGRATIONS["points"](kinematics, stencil, stencil, volume, x[0])
+        floor = on_points(kinematics, stencil, stencil, volume, x[0])
         return floor.tangent(self.options.floor * moduli, support.number, size)
 
     def _elastic(self) -> ndarray:
@@ -277,7 +275,7 @@ class _Recovery:
             raise ValueError(f"x: got point {empty[0]} at {x[:, empty[0]]}, in a cell that held no points in this "
                              "step; expected positions in the body.")
         stencil = self.basis.stencil_of(self.grid, x, index, length, self.edges, self.sides)
-        operator = INTEGRATIONS["points"](self.kinematics, stencil, stencil, np.ones(x.shape[1]), x[0])
+        operator = on_points(self.kinematics, stencil, stencil, np.ones(x.shape[1]), x[0])
         zero = np.zeros((self.kinematics.ncomp, x.shape[1]))
         motion = self.strain(self.kinematics, len(x), self.material, zero, None)
         return motion.respond(operator.gradient(self.u)).sigma

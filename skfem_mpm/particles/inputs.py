@@ -11,7 +11,7 @@ from numpy import ndarray
 from ..checks import check_array, check_positive
 from ..kinematics import Kinematics
 
-ARRAYS = ("x", "volume", "mass", "length", "sigma", "epsilon", "velocity", "history")
+ARRAYS = ("x", "volume", "mass", "length", "spans", "sigma", "epsilon", "velocity", "history")
 # What scikit-fem puts into the ``w`` of a form, then what we hold or put there.
 RESERVED = ("x", "h", "n", "idx") + ARRAYS + ("stress", "strain", "kinematics", "fields", "dim")
 

@@ -21,7 +21,7 @@ from .inputs import ARRAYS, check_chosen, check_fields, check_history, check_kin
 if TYPE_CHECKING:
     import meshio
 
-OPTIONAL = ("length", "sigma", "epsilon", "velocity", "history")
+OPTIONAL = ("length", "spans", "sigma", "epsilon", "velocity", "history")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +43,10 @@ class Particles:
     kinematics
         One of ``uniaxial``, ``plane_strain``, ``axisymmetric``, ``solid``.
     length
-        Edges ``(dim, n)`` of the points' domains, which GIMP needs.
+        Edges ``(dim, n)`` of the points' domains, which GIMP needs: boxes along the axes.
+    spans
+        Edges ``(dim, dim, n)`` of the points' domains as parallelograms, ``spans[i, j]`` being component i of edge j;
+        field integration needs them, and starts from ``length`` if there are none.
     sigma
         Packed Cauchy stress ``(ncomp, n)``, tension positive; ``None`` is a body free of stress.
     epsilon
@@ -84,6 +87,7 @@ class Particles:
     mass: ndarray
     kinematics: Kinematics
     length: ndarray | None = None
+    spans: ndarray | None = None
     sigma: ndarray | None = None
     epsilon: ndarray | None = None
     velocity: ndarray | None = None
@@ -95,8 +99,8 @@ class Particles:
         held = {"x": check_positions(self.x, self.kinematics)}
         dim, n = held["x"].shape
         ncomp = self.kinematics.ncomp
-        shapes = {"volume": (n,), "mass": (n,), "length": (dim, n), "sigma": (ncomp, n), "epsilon": (ncomp, n),
-                  "velocity": (dim, n)}
+        shapes = {"volume": (n,), "mass": (n,), "length": (dim, n), "spans": (dim, dim, n), "sigma": (ncomp, n),
+                  "epsilon": (ncomp, n), "velocity": (dim, n)}
         for name, shape in shapes.items():
             if (value := getattr(self, name)) is not None or name not in OPTIONAL:
                 held[name] = check_array(name, value, shape)
@@ -105,6 +109,8 @@ class Particles:
         for name in ("volume", "mass", "length"):
             for row in np.atleast_2d(held.get(name, 1.0)):
                 check_positive(name, row)
+        if "spans" in held:
+            check_positive("spans (their determinant)", np.linalg.det(held["spans"].transpose(2, 0, 1)))
         for name, array in held.items():
             object.__setattr__(self, name, frozen(array))
         object.__setattr__(self, "fields", MappingProxyType(check_fields(self.fields, n)))
@@ -112,7 +118,7 @@ class Particles:
     def __reduce__(self) -> tuple:
         # A mapping proxy cannot be pickled, and unpickled arrays are writable unless they go through __post_init__.
         return type(self), (self.x, self.volume, self.mass, self.kinematics,
-                            self.length, self.sigma, self.epsilon, self.velocity, self.history, dict(self.fields))
+                            self.length, self.spans, self.sigma, self.epsilon, self.velocity, self.history, dict(self.fields))
 
     def __len__(self) -> int:
         return self.n

@@ -1,0 +1,24 @@
+"""How point stress becomes nodal force: one exchangeable choice, apart from method and weights.
+
+A choice makes the :class:`Pair` of operators of a step from what is known of its grid.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..checks import check_choice
+from .pair import OfStencil, OfTable, Pair, on_points
+from .points import Points
+
+__all__ = ["INTEGRATIONS", "OfStencil", "OfTable", "Pair", "Points", "find_integration", "on_points"]
+
+INTEGRATIONS = {"points": Points()}
+
+
+def find_integration(integration: Any) -> Any:
+    """A choice by its name in ``INTEGRATIONS``, or an object that is one."""
+    if hasattr(integration, "pair"):
+        return integration
+    check_choice("integration", integration, INTEGRATIONS)
+    return INTEGRATIONS[integration]

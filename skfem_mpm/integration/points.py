@@ -1,0 +1,37 @@
+"""The points are the quadrature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from numpy import ndarray
+
+from .pair import Pair, on_points
+
+
+@dataclass(frozen=True)
+class Points:
+    r"""Points are the quadrature, :math:`L_{Ip} = W_p V_p \nabla N_I(x_p)`: ``integration="points"``."""
+
+    covers = False      # whether cells are integrated that hold no points
+
+    def pair(self, support: Any, force: type, strain: type, weight: ndarray) -> Pair:
+        """The operators of a step.
+
+        Parameters
+        ----------
+        support
+            What the step knows of its grid: ``particles``, ``stencil(basis)`` and more.
+        force, strain
+            Bases that carry force and recover strain.
+        weight
+            ``(n,)``; weights of the points.
+        """
+        points = support.particles
+        return on_points(points.kinematics, support.stencil(force), support.stencil(strain), weight * points.volume,
+                         points.x[0])
+
+    def stiffness(self, support: Any, force: type, strain: type, weight: ndarray, pair: Pair) -> Pair:
+        """Operators of the tangent, if they are not those of force and strain: here they are."""
+        return pair
