@@ -118,7 +118,8 @@ class Particles:
     def __reduce__(self) -> tuple:
         # A mapping proxy cannot be pickled, and unpickled arrays are writable unless they go through __post_init__.
         return type(self), (self.x, self.volume, self.mass, self.kinematics,
-                            self.length, self.spans, self.sigma, self.epsilon, self.velocity, self.history, dict(self.fields))
+                            self.length, self.spans, self.sigma, self.epsilon, self.velocity, self.history,
+                            dict(self.fields))
 
     def __len__(self) -> int:
         return self.n
