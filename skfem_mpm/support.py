@@ -10,6 +10,7 @@ from numpy import ndarray
 from scipy.sparse import coo_array, csr_array, vstack
 
 from .basis import Method, ParticleBasis
+from .cover import Cover
 from .grid import Edges, Grid, Stencil, available_sides, corner_nodes, whole_cells, wider
 from .particles import Particles
 
@@ -40,7 +41,8 @@ class Support:
         Mask over the cells, one index per axis: all nodes are solved or slaved.
     """
 
-    def __init__(self, mesh: Any, particles: Particles, method: Method, edges: Edges, boundary: Sequence[Any]):
+    def __init__(self, mesh: Any, particles: Particles, method: Method, edges: Edges, boundary: Sequence[Any],
+                 covers: bool = False):
         self.full = full = Grid.from_mesh(mesh)
         full.check_dim(particles.dim)
         self.method = method
@@ -64,6 +66,9 @@ class Support:
         reached = self._touched(self.stencil(method.strain))
         self.solved = active & reached & corner_nodes(self.occupied).ravel()
         read = reached | self._touched(self.stencil(method.force)) | self._touched(self.mapping)
+        if covers:
+            self.cover = Cover(self.grid, self.index, particles, planes)
+            read |= corner_nodes(self.cover.covered).ravel()
         self._slave(read | self._felt())
         self._check_known(read)
 

@@ -13,7 +13,7 @@ FLOOR = {
     "shapes": 0, "kinematics": 0, "materials": 0,
     "grid": 1, "locator": 1,
     "elements": 2, "particles": 2, "weights": 2,
-    "basis": 3, "kernels": 3, "output": 3, "plot": 3,
+    "basis": 3, "cover": 3, "kernels": 3, "output": 3, "plot": 3,
     "integration": 4, "boundary": 4, "support": 4,
     "implicit": 5, "explicit": 5,
     "scenes": 6,

@@ -13,6 +13,7 @@ from skfem import Mesh
 
 from ..basis import ParticleBasis
 from ..checks import check_array
+from ..cover import domains
 from ..grid import Edges, Grid
 from ..integration import on_points
 from ..kinematics import STRAINS, Kinematics
@@ -59,7 +60,7 @@ class Step:
         particles = _needed(state.particles, options)
         method = options.method
         self.particles = particles
-        self.support = Support(mesh, particles, method, options.edges, state.boundary)
+        self.support = Support(mesh, particles, method, options.edges, state.boundary, options.integration.covers)
         self.motion = self._motion(particles)
         self.operator = self._operator(method.force, method.strain)
         self.tangent_operator = self.operator
@@ -240,7 +241,8 @@ class Step:
         if not ratio.min() > 0:
             raise Retry("a point turned inside out")
         response = self.motion.respond(gradient)
-        particles = replace(old, x=old.x + support.mapping.to_points(u), volume=old.volume * ratio,
+        spans = None if old.spans is None else stretched(gradient, old.spans)
+        particles = replace(old, x=old.x + support.mapping.to_points(u), volume=old.volume * ratio, spans=spans,
                             sigma=response.sigma, epsilon=response.epsilon,
                             history=response.history if self.material.history else None)
         displacement = np.zeros((old.dim, self.mesh.nvertices))
@@ -285,6 +287,14 @@ def _needed(particles: Particles, options: Options) -> Particles:
     """Only what the scene requires: domains are carried along if a basis or the weights read them."""
     method = options.method
     uses_domains = any(basis.reads_domains for basis in (method.mass, method.strain, method.force))
+    if options.integration.covers:
+        particles = replace(particles, spans=domains(particles))
     if uses_domains or options.weights == "overlap":
         return particles
     return replace(particles, length=None)
+
+
+def stretched(gradient: ndarray, spans: ndarray) -> ndarray:
+    """Edges of the domains after a step: they go with the deformation at the point."""
+    dim = len(spans)
+    return spans + np.einsum("ijn,jkn->ikn", gradient[:dim * dim].reshape(dim, dim, -1), spans)

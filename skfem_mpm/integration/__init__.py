@@ -8,12 +8,14 @@ from __future__ import annotations
 from typing import Any
 
 from ..checks import check_choice
+from .field import Field, Twin
 from .pair import OfStencil, OfTable, Pair, on_points
 from .points import Points
 
-__all__ = ["INTEGRATIONS", "OfStencil", "OfTable", "Pair", "Points", "find_integration", "on_points"]
+__all__ = ["INTEGRATIONS", "Field", "OfStencil", "OfTable", "Pair", "Points", "Twin", "find_integration", "on_points"]
 
-INTEGRATIONS = {"points": Points()}
+INTEGRATIONS = {"points": Points(), "field": Field(), "field2": Field(order=2), "twin": Twin(),
+                "twin2": Twin(order=2, kappa=1.5)}
 
 
 def find_integration(integration: Any) -> Any:

@@ -1,0 +1,169 @@
+r"""Stress as a field: fitted to the points, integrated over what the body covers.
+
+With the fit :math:`R` of :mod:`.fit` and the quadrature of :mod:`skfem_mpm.cover`
+
+.. math:: L_{Ip} = \sum_g w_g \nabla N_I(x_g) R_{gp}, \qquad V^*_p = \sum_g w_g R_{gp}
+
+``field`` pairs that force with the strain of the method, which is more accurate, but not symmetric.  ``twin`` takes the
+strain that is conjugate to it, :math:`G = L / V^*`: symmetric, with a potential, exact for constant gradients and for
+linear stress.  :math:`V^*` are then weights of points whose moments are shared between neighbouring cells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy import ndarray
+
+from ..checks import check_positive
+from ..cover import Cover
+from .fit import Fit, monomials
+from .pair import OfStencil, OfTable, Pair
+
+LEAST = 0.2          # share of what constants would give a point that the fit must leave it
+ROUNDS = 20          # of finding out which units give a point too little
+
+
+@dataclass(frozen=True)
+class Field:
+    """Force from the fitted field, strain from the method: ``integration="field"``; implicit only.
+
+    Parameters
+    ----------
+    order
+        Degree of the fit, 1 or 2; 2 wants at least two points per direction in a cell.
+    kappa
+        How fast its weights fall with distance, above zero; :math:`e^{-\\kappa |\\xi|^2}` at :math:`\\xi` cells.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range.
+    """
+
+    order: int = 1
+    kappa: float = 1.5
+
+    covers = True
+
+    def __post_init__(self) -> None:
+        if self.order not in (1, 2):
+            raise ValueError(f"order: got {self.order!r}, expected 1 or 2.")
+        check_positive("kappa", self.kappa)
+
+    def pair(self, support: Any, force: type, strain: type, weight: ndarray) -> Pair:
+        """The operators of a step; ``force`` and, in axial symmetry, points' own radii play no part in the force."""
+        check_unweighted(weight)
+        points = support.particles
+        table, _ = field_table(Fit(support.cover, self.order, self.kappa), points.kinematics.hoop)
+        of_force = OfTable(support.index - 1, table, support.grid.vertices.shape)
+        of_strain = OfStencil(support.stencil(strain), points.x[0] if points.kinematics.hoop else None)
+        return Pair(points.kinematics, of_force, of_strain, np.ones(points.n))
+
+    def stiffness(self, support: Any, force: type, strain: type, weight: ndarray, pair: Pair) -> Pair:
+        """Operators of the tangent: the same."""
+        return pair
+
+
+@dataclass(frozen=True)
+class Twin(Field):
+    """The symmetric twin of field integration, with the strain conjugate to its force: ``integration="twin"``.
+
+    Parameters
+    ----------
+    order
+        Degree of the fit, 1 or 2; 2 wants at least two points per direction in a cell.
+    kappa
+        How fast its weights fall with distance, above zero; above 4 points may lose all of their volume.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range.
+    """
+
+    kappa: float = 4.0
+
+    def pair(self, support: Any, force: type, strain: type, weight: ndarray) -> Pair:
+        """The operators of a step, whatever the bases of force and strain."""
+        check_unweighted(weight)
+        points = support.particles
+        fit = Fit(support.cover, self.order, self.kappa)
+        keep_positive(fit)
+        table, volume = field_table(fit, points.kinematics.hoop)
+        functions = OfTable(support.index - 1, table / volume, support.grid.vertices.shape)
+        return Pair(points.kinematics, functions, functions, volume)
+
+
+def check_unweighted(weight: ndarray) -> None:
+    """Refuse weights of points, which a field does not have."""
+    if not (weight == 1).all():
+        raise ValueError("weights: got weights of points with field integration, which integrates over cells; expected "
+                         "weights='one'.")
+
+
+def keep_positive(fit: Fit) -> None:
+    """Blend in constants where the fit would leave a point too little volume.
+
+    As in flux correction: only in the units that need it and only as much as it takes, so constants are kept, the
+    operator stays symmetric and it depends continuously on the points.
+    """
+    amount, _, _ = moments(fit, hoop=False)
+    own, n = fit.Q.copy(), fit.cover.particles.n
+    share = np.zeros(len(own))
+    positive = np.divide(amount[:, 0], fit.weight, out=np.zeros_like(fit.weight), where=fit.weight > 0)
+    for _ in range(ROUNDS):
+        fit.Q = own.copy()
+        fit.blend(share)
+        weights = np.einsum("ub,ubc->uc", amount, fit.Q)
+        sure, found = np.zeros(n), np.zeros(n)
+        for _, points, unit, weighted in fit.pairs():
+            sure[points] += positive[unit] * weighted[0]
+            found[points] += np.einsum("nb,bn->n", weights[unit], weighted)
+        lack = found < LEAST * sure * (1 - 1e-9)
+        if not lack.any():
+            return
+        wanted = np.zeros(n)
+        wanted[lack] = (LEAST * sure - found)[lack] / (sure - found)[lack]
+        for _, points, unit, _ in fit.pairs():
+            np.maximum.at(share, unit, np.where(lack[points], share[unit] + (1 - share[unit]) * wanted[points], 0))
+    fit.Q = own
+    fit.blend(np.where(share > 0, 1.0, 0.0))
+
+
+def moments(fit: Fit, hoop: bool) -> tuple[ndarray, ndarray, int]:
+    """Integrals over units: of the monomials ``(units, nb)``, and of their products with the slopes (and in axial
+    symmetry values over radius) of the corner nodes ``(units, tables, corners, nb)``."""
+    grid, cover = fit.cover.grid, fit.cover
+    ring = cover.particles.kinematics.hoop
+    unit, x, area = cover.quadrature(fit.order + max(grid.dim - 1 + ring, 2 * ring))
+    phi = monomials(fit.local(unit, x), fit.order)
+    units, nb = len(cover.keys), len(phi)
+    measure = area * x[0] if ring else area
+
+    def sums(weight: ndarray) -> ndarray:
+        return np.stack([np.bincount(unit, weights=weight * row, minlength=units) for row in phi], axis=1)
+
+    amount = sums(measure)
+    index = np.stack(np.unravel_index(cover.cells[unit], grid.cells.shape))
+    stencil = grid.linear(x, index)
+    tables = [row * measure for row in stencil.gradient()] + ([stencil.value() * area] if hoop else [])
+    corner = np.stack([np.stack([sums(row) for row in table], axis=1) for table in tables], axis=1)
+    return amount, corner, nb
+
+
+def field_table(fit: Fit, hoop: bool) -> tuple[ndarray, ndarray]:
+    """Force per point stress ``(tables, 4**dim, n)`` at the nodes around, first node a cell before the host; and V*."""
+    dim, n = fit.cover.grid.dim, fit.cover.particles.n
+    amount, corner, _ = moments(fit, hoop)
+    volumes = np.einsum("ub,ubc->uc", amount, fit.Q)
+    weights = np.einsum("utkb,ubc->utkc", corner, fit.Q)
+    table, volume = np.zeros((corner.shape[1], 4 ** dim, n)), np.zeros(n)
+    corners = np.indices((2,) * dim).reshape(dim, -1)
+    for offset, points, unit, weighted in fit.pairs():
+        place = np.ravel_multi_index(tuple(corners + np.array(offset)[:, None] + 1), (4,) * dim)
+        table[:, place[:, None], points] += np.einsum("ntkb,bn->tkn", weights[unit], weighted)
+        volume[points] += np.einsum("nb,bn->n", volumes[unit], weighted)
+    return table, volume
