@@ -87,11 +87,11 @@ class Cover:
         place = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
         return np.where(self.keys[place] == keys, place, -1)
 
-    def neighbours(self) -> list[tuple[tuple[int, ...], ndarray]]:
-        """For each offset to a cell around the host the unit there of the same part, ``(n,)``; -1 for none."""
+    def neighbours(self, reach: int) -> list[tuple[tuple[int, ...], ndarray]]:
+        """For each offset to a cell within reach of the host the unit there of the same part, ``(n,)``; -1 for none."""
         shape = np.array(self.grid.cells.shape)[:, None]
         found = []
-        for offset in itertools.product((-1, 0, 1), repeat=self.grid.dim):
+        for offset in itertools.product(range(-reach, reach + 1), repeat=self.grid.dim):
             place = self.index + np.array(offset)[:, None]
             inside = ((place >= 0) & (place < shape)).all(axis=0)
             cell = np.ravel_multi_index(tuple(place), self.grid.cells.shape, mode="clip")

@@ -83,6 +83,11 @@ class Support:
             self._stencils[basis] = basis.stencil_of(self.grid, points.x, self.index, points.length, self.edges, sides)
         return self._stencils[basis]
 
+    @property
+    def motion(self) -> Stencil:
+        """Stencil of the functions that move the points."""
+        return self.stencil(self.method.motion or self.method.mass)
+
     def sides_of(self, basis: type[ParticleBasis]) -> ndarray | None:
         """To which neighbours a basis keeps; ``None`` for the one that maps mass."""
         return None if basis is self.method.mass else self.sides

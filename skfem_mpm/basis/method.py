@@ -13,6 +13,9 @@ from .particle import ParticleBasis
 class Method:
     """A method is data: which basis maps mass and motion, which recovers strain, which carries internal force.
 
+    Points move by the functions that map mass, unless ``motion`` names others (implicit steps only); walls then hold
+    the body by these too.
+
     Examples
     --------
     >>> from skfem_mpm import METHODS
@@ -23,6 +26,7 @@ class Method:
     mass: type[ParticleBasis]
     strain: type[ParticleBasis]
     force: type[ParticleBasis]
+    motion: type[ParticleBasis] | None = None
 
     @property
     def conjugate(self) -> bool:

@@ -154,6 +154,34 @@ class Grid:
 
         return self._stencil(x, index, 4, fill)
 
+    def cubic(self, x: ndarray, index: ndarray, sides: ndarray) -> Stencil:
+        """CMPM stencil whose patches keep four nodes per axis at edges too where the body is three cells wide.
+
+        Along an axis with one neighbour, its other neighbour joins in if ``sides`` make both available to all cells of
+        the patch.
+        """
+        shift = self._inwards(index, sides)
+        w = np.empty((self.dim, 2, 4, x.shape[1]))
+        for k, size in enumerate(self.cells.shape):
+            left, right = (sides[side, k][tuple(index)] | (shift[k] != 0) for side in (0, 1))
+            w[k] = shapes.cmpm(x[k], self.knots(k, index[k] + shift[k]), left, right)
+            for j, missing in ((0, index[k] + shift[k] == 0), (3, index[k] + shift[k] == size - 1)):
+                w[k, :, j, missing] = 0
+        return Stencil(index - 1 + shift, w, self.vertices.shape)
+
+    def _inwards(self, index: ndarray, sides: ndarray) -> ndarray:
+        """How far along each axis the patch of each cell moves inwards, -1, 0 or 1, ``(dim, n)``."""
+        shift = np.zeros_like(index)
+        for k, size in enumerate(self.cells.shape):
+            left, right = sides[:, k]
+            for sign, open_side, other in ((1, right & ~left, 1), (-1, left & ~right, 0)):
+                beyond = np.roll(sides[other, k], -sign, axis=k)           # never taken from across the grid's edge
+                same = [np.roll(sides[side, j], -sign, axis=k) >= sides[side, j]
+                        for j in range(self.dim) if j != k for side in (0, 1)]
+                possible = open_side & beyond & np.logical_and.reduce([np.ones_like(beyond), *same])
+                shift[k] += sign * possible[tuple(index)]
+        return shift
+
     def gimp(self, x: ndarray, index: ndarray, length: ndarray, edges: Edges = "ghost",
              sides: ndarray | None = None) -> Stencil:
         """GIMP stencil of points with domains of edges ``length (dim, n)``.

@@ -124,7 +124,8 @@ def _check(method: str | Method, strain: str, scheme: str, weights: str, integra
             raise ValueError(f"{name}: got {number!r}, expected a number from 0 to below 1.")
     if solver is not None and not callable(solver):
         raise TypeError(f"solver: got {type(solver).__name__}, expected a function solver(A, b) that returns x.")
-    return Options(method, strain, scheme, weights, find_integration(integration), edges, tangent, floor, tolerance,
+    integration = find_integration(integration)
+    return Options(integration.method(method), strain, scheme, weights, integration, edges, tangent, floor, tolerance,
                    solver or solve_direct)
 
 

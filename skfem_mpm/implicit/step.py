@@ -242,7 +242,7 @@ class Step:
             raise Retry("a point turned inside out")
         response = self.motion.respond(gradient)
         spans = None if old.spans is None else stretched(gradient, old.spans)
-        particles = replace(old, x=old.x + support.mapping.to_points(u), volume=old.volume * ratio, spans=spans,
+        particles = replace(old, x=old.x + support.motion.to_points(u), volume=old.volume * ratio, spans=spans,
                             sigma=response.sigma, epsilon=response.epsilon,
                             history=response.history if self.material.history else None)
         displacement = np.zeros((old.dim, self.mesh.nvertices))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..basis import CubicBasis
 from ..checks import check_choice
 from .field import Field, Twin
 from .pair import OfStencil, OfTable, Pair, on_points
@@ -14,8 +15,8 @@ from .points import Points
 
 __all__ = ["INTEGRATIONS", "Field", "OfStencil", "OfTable", "Pair", "Points", "Twin", "find_integration", "on_points"]
 
-INTEGRATIONS = {"points": Points(), "field": Field(), "field2": Field(order=2), "twin": Twin(),
-                "twin2": Twin(order=2, kappa=1.5)}
+INTEGRATIONS = {"points": Points(), "field": Field(), "field2": Field(order=2),
+                "cubic": Field(order=2, recover=CubicBasis), "twin": Twin(), "twin2": Twin(order=2, kappa=1.5)}
 
 
 def find_integration(integration: Any) -> Any:

@@ -11,12 +11,13 @@ linear stress.  :math:`V^*` are then weights of points whose moments are shared 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
+from ..basis import Method, ParticleBasis
 from ..checks import check_positive
 from ..cover import Cover
 from .fit import Fit, monomials
@@ -28,14 +29,19 @@ ROUNDS = 20          # of finding out which units give a point too little
 
 @dataclass(frozen=True)
 class Field:
-    """Force from the fitted field, strain from the method: ``integration="field"``; implicit only.
+    r"""Force from the fitted field, strain from the method: ``integration="field"``; implicit only.
 
     Parameters
     ----------
     order
         Degree of the fit, 1 or 2; 2 wants at least two points per direction in a cell.
     kappa
-        How fast its weights fall with distance, above zero; :math:`e^{-\\kappa |\\xi|^2}` at :math:`\\xi` cells.
+        How fast its weights fall with distance, above zero: :math:`e^{-\kappa |\xi|^2}` at :math:`\xi` cells.
+    reach
+        To how many cells on each side of its own a point lends its stress; 2 for single points in cells.
+    recover
+        Basis that recovers strain, moves points and holds walls instead of the method's; ``CubicBasis`` makes the most
+        of a smooth solution.
 
     Raises
     ------
@@ -45,20 +51,29 @@ class Field:
 
     order: int = 1
     kappa: float = 1.5
+    reach: int = 1
+    recover: type[ParticleBasis] | None = None
 
-    covers = True
+    covers = True       # whether cells are integrated that hold no points
 
     def __post_init__(self) -> None:
-        if self.order not in (1, 2):
-            raise ValueError(f"order: got {self.order!r}, expected 1 or 2.")
+        for name in ("order", "reach"):
+            if getattr(self, name) not in (1, 2):
+                raise ValueError(f"{name}: got {getattr(self, name)!r}, expected 1 or 2.")
         check_positive("kappa", self.kappa)
 
+    def method(self, method: Method) -> Method:
+        """The method whose bases the operators read: force comes from finite element functions."""
+        if self.recover is None:
+            return replace(method, force=ParticleBasis)
+        return Method(method.mass, self.recover, ParticleBasis, motion=self.recover)
+
     def pair(self, support: Any, force: type, strain: type, weight: ndarray) -> Pair:
-        """The operators of a step; ``force`` and, in axial symmetry, points' own radii play no part in the force."""
+        """The operators of a step."""
         check_unweighted(weight)
         points = support.particles
-        table, _ = field_table(Fit(support.cover, self.order, self.kappa), points.kinematics.hoop)
-        of_force = OfTable(support.index - 1, table, support.grid.vertices.shape)
+        table, _ = field_table(Fit(support.cover, self.order, self.kappa, self.reach), points.kinematics.hoop)
+        of_force = OfTable(support.index - self.reach, table, support.grid.vertices.shape)
         of_strain = OfStencil(support.stencil(strain), points.x[0] if points.kinematics.hoop else None)
         return Pair(points.kinematics, of_force, of_strain, np.ones(points.n))
 
@@ -68,7 +83,7 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Twin(Field):
+class Twin:
     """The symmetric twin of field integration, with the strain conjugate to its force: ``integration="twin"``.
 
     Parameters
@@ -84,10 +99,22 @@ class Twin(Field):
         If a parameter is out of range.
     """
 
+    order: int = 1
     kappa: float = 4.0
 
+    covers = True
+
+    def __post_init__(self) -> None:
+        if self.order not in (1, 2):
+            raise ValueError(f"order: got {self.order!r}, expected 1 or 2.")
+        check_positive("kappa", self.kappa)
+
+    def method(self, method: Method) -> Method:
+        """The method whose bases the operators read: force and strain see what finite elements see."""
+        return replace(method, strain=ParticleBasis, force=ParticleBasis)
+
     def pair(self, support: Any, force: type, strain: type, weight: ndarray) -> Pair:
-        """The operators of a step, whatever the bases of force and strain."""
+        """The operators of a step."""
         check_unweighted(weight)
         points = support.particles
         fit = Fit(support.cover, self.order, self.kappa)
@@ -95,6 +122,10 @@ class Twin(Field):
         table, volume = field_table(fit, points.kinematics.hoop)
         functions = OfTable(support.index - 1, table / volume, support.grid.vertices.shape)
         return Pair(points.kinematics, functions, functions, volume)
+
+    def stiffness(self, support: Any, force: type, strain: type, weight: ndarray, pair: Pair) -> Pair:
+        """Operators of the tangent: the same."""
+        return pair
 
 
 def check_unweighted(weight: ndarray) -> None:
@@ -110,7 +141,7 @@ def keep_positive(fit: Fit) -> None:
     As in flux correction: only in the units that need it and only as much as it takes, so constants are kept, the
     operator stays symmetric and it depends continuously on the points.
     """
-    amount, _, _ = moments(fit, hoop=False)
+    amount, _ = moments(fit, hoop=False)
     own, n = fit.Q.copy(), fit.cover.particles.n
     share = np.zeros(len(own))
     positive = np.divide(amount[:, 0], fit.weight, out=np.zeros_like(fit.weight), where=fit.weight > 0)
@@ -133,14 +164,14 @@ def keep_positive(fit: Fit) -> None:
     fit.blend(np.where(share > 0, 1.0, 0.0))
 
 
-def moments(fit: Fit, hoop: bool) -> tuple[ndarray, ndarray, int]:
+def moments(fit: Fit, hoop: bool) -> tuple[ndarray, ndarray]:
     """Integrals over units: of the monomials ``(units, nb)``, and of their products with the slopes (and in axial
     symmetry values over radius) of the corner nodes ``(units, tables, corners, nb)``."""
     grid, cover = fit.cover.grid, fit.cover
     ring = cover.particles.kinematics.hoop
     unit, x, area = cover.quadrature(fit.order + max(grid.dim - 1 + ring, 2 * ring))
     phi = monomials(fit.local(unit, x), fit.order)
-    units, nb = len(cover.keys), len(phi)
+    units = len(cover.keys)
     measure = area * x[0] if ring else area
 
     def sums(weight: ndarray) -> ndarray:
@@ -151,19 +182,23 @@ def moments(fit: Fit, hoop: bool) -> tuple[ndarray, ndarray, int]:
     stencil = grid.linear(x, index)
     tables = [row * measure for row in stencil.gradient()] + ([stencil.value() * area] if hoop else [])
     corner = np.stack([np.stack([sums(row) for row in table], axis=1) for table in tables], axis=1)
-    return amount, corner, nb
+    return amount, corner
 
 
 def field_table(fit: Fit, hoop: bool) -> tuple[ndarray, ndarray]:
-    """Force per point stress ``(tables, 4**dim, n)`` at the nodes around, first node a cell before the host; and V*."""
+    """Force per point stress ``(tables, 4**dim, n)`` at the nodes around, and V*.
+
+    The first node is ``reach`` cells before the host's.
+    """
     dim, n = fit.cover.grid.dim, fit.cover.particles.n
-    amount, corner, _ = moments(fit, hoop)
+    amount, corner = moments(fit, hoop)
     volumes = np.einsum("ub,ubc->uc", amount, fit.Q)
     weights = np.einsum("utkb,ubc->utkc", corner, fit.Q)
-    table, volume = np.zeros((corner.shape[1], 4 ** dim, n)), np.zeros(n)
+    width = 2 * fit.reach + 2
+    table, volume = np.zeros((corner.shape[1], width ** dim, n)), np.zeros(n)
     corners = np.indices((2,) * dim).reshape(dim, -1)
     for offset, points, unit, weighted in fit.pairs():
-        place = np.ravel_multi_index(tuple(corners + np.array(offset)[:, None] + 1), (4,) * dim)
+        place = np.ravel_multi_index(tuple(corners + np.array(offset)[:, None] + fit.reach), (width,) * dim)
         table[:, place[:, None], points] += np.einsum("ntkb,bn->tkn", weights[unit], weighted)
         volume[points] += np.einsum("nb,bn->n", volumes[unit], weighted)
     return table, volume

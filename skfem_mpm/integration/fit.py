@@ -52,13 +52,13 @@ class Fit:
         ``(units,)``; sum of the weights of the points, zero where there are none.
     """
 
-    def __init__(self, cover: Cover, order: int, kappa: float):
-        self.cover, self.order, self.kappa = cover, order, kappa
+    def __init__(self, cover: Cover, order: int, kappa: float, reach: int = 1):
+        self.cover, self.order, self.kappa, self.reach = cover, order, kappa, reach
         grid = cover.grid
         index = np.unravel_index(cover.cells, grid.cells.shape)
         self.width = np.stack([grid.steps[k][index[k]] for k in range(grid.dim)])
         self.middle = np.stack([grid.axes[k][index[k]] for k in range(grid.dim)]) + self.width / 2
-        self.around = cover.neighbours()
+        self.around = cover.neighbours(reach)
         gram = self._gram()
         self.weight = gram[:, 0, 0]
         self.degrees = np.minimum(monomial_degrees(grid.dim, order), 2)

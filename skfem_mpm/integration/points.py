@@ -7,6 +7,7 @@ from typing import Any
 
 from numpy import ndarray
 
+from ..basis import Method
 from .pair import Pair, on_points
 
 
@@ -15,6 +16,10 @@ class Points:
     r"""Points are the quadrature, :math:`L_{Ip} = W_p V_p \nabla N_I(x_p)`: ``integration="points"``."""
 
     covers = False      # whether cells are integrated that hold no points
+
+    def method(self, method: Method) -> Method:
+        """The method whose bases the operators read."""
+        return method
 
     def pair(self, support: Any, force: type, strain: type, weight: ndarray) -> Pair:
         """The operators of a step.
