@@ -39,7 +39,8 @@ autosummary_generate = False            # the API is one page
 doctest_test_doctest_blocks = ""        # pytest runs the docstrings; pages have {doctest} and {testcode} blocks
 
 # Rooms whose names are reached as skfem_mpm.<room>.<name>; those that do not exist yet are left out.
-ROOMS = ["scenes", "study", "stability", "boundary", "integration", "weights", "materials", "shapes", "output", "plot"]
+ROOMS = ["scenes", "study", "stability", "boundary", "ghost", "integration", "weights", "materials", "shapes", "output",
+         "plot"]
 
 
 # Public names that are neither classes nor functions: autodoc would show the text of their class, or none.

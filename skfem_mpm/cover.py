@@ -32,8 +32,8 @@ LOST = 1e-6          # share of a domain that may be outside the grid: rounding
 class Cover:
     """Quadrature of what a body covers.
 
-    Parts of the body, which are its own ``body`` numbers or lie apart by a cell, cover cells for themselves: a *unit* is
-    a cell as one part covers it.
+    Parts of the body, which have ``body`` numbers of their own or lie apart by a cell, cover cells for themselves: a
+    *unit* is a cell as one part covers it.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class Cover:
     # -- pieces of domains -------------------------------------------------------------------------------------------
 
     def _pieces(self) -> tuple[ndarray, ndarray]:
-        """Simplices ``(dim, dim + 1, m)`` that make up the domains near cut cells, each in one cell; and their points."""
+        """Simplices ``(dim, dim + 1, m)`` of the domains near cut cells, each in one cell; and whose they are."""
         grid, points, dim = self.grid, self.particles, self.grid.dim
         edges = domains(points)
         reach = np.abs(edges).sum(axis=1) / 2

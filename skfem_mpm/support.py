@@ -26,6 +26,8 @@ class Support:
         The part of the mesh around the body.  Nodes are numbered along its axes, the last one fastest.
     index
         ``(dim, n)``; host cell of each point.
+    planes
+        Fixed planes of the boundary.
     sides
         Which neighbours patches may reach into, see :func:`skfem_mpm.grid.available_sides`.
     solved
@@ -51,7 +53,7 @@ class Support:
         self.grid = full.window(full.locate(particles.x))
         self.index = self.grid.locate(particles.x)
         self.occupied = self.grid.occupied(self.index)
-        planes = [plane for plane in boundary if hasattr(plane, "fixes")]
+        self.planes = planes = [plane for plane in boundary if hasattr(plane, "fixes")]
         for plane in planes:
             plane.check(full, particles.x)
         fixed = [plane.fixes(self.grid) for plane in planes] or [np.zeros((full.dim, self.grid.nnodes))]

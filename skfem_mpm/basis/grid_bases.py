@@ -137,10 +137,10 @@ class CMPMBasis(_OnGrid):
 
 
 class CubicBasis(CMPMBasis):
-    """CMPM whose patches keep four nodes per axis at edges too: cubic wherever the body is three cells wide.  (Ours.)
+    """CMPM whose patches keep four nodes per axis at edges too: cubic wherever the body is three cells wide.
 
     At an edge the patch takes the node beyond the neighbour it has, so recovered strains are third order there too;
-    CMPM's are second order.  The parameters are those of :class:`CMPMBasis`.
+    CMPM's are second order.  (Ours.)  The parameters are those of :class:`CMPMBasis`.
 
     Examples
     --------

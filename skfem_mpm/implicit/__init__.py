@@ -31,8 +31,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
                    boundary: Sequence[Any] | None = None, *, steps: int, method: str | Method = "mpm",
                    strain: str = "logarithmic", scheme: str = "equilibrated", weights: str = "one",
                    integration: Any = "points", edges: Edges = "ghost", tangent: str | None = None,
-                   gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, tolerance: float = 1e-11,
-                   max_cuts: int = 6) -> Iterator[State]:
+                   gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, ghost: float = 0.0,
+                   tolerance: float = 1e-11, max_cuts: int = 6) -> Iterator[State]:
     """Bring a body to equilibrium load step by load step; yields a :class:`State` after each.
 
     Parameters
@@ -70,6 +70,9 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         is symmetric indefinite (multipliers), and unsymmetric for methods whose strain is not conjugate to force.
     floor
         Soft elastic stiffness as a share of the mean modulus, on all cells around the body.
+    ghost
+        Ghost penalty on jumps of the displacement's normal gradient at cut cells, as a share of Young's modulus; 0 for
+        none, 0.1 is a good value in 2-D and 3-D; see :mod:`skfem_mpm.ghost`.
     tolerance
         Largest residual of a step, relative to the forces in it.
     max_cuts
@@ -97,7 +100,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     ...     print(state.step, round(float(state.reactions["base"][0]), 9))
     1 0.001
     """
-    options = _check(method, strain, scheme, weights, integration, edges, tangent, floor, tolerance, solver)
+    options = _check(method, strain, scheme, weights, integration, edges, tangent, floor, ghost, tolerance, solver)
     for name, count, least in [("steps", steps, 1), ("max_cuts", max_cuts, 0)]:
         if not (isinstance(count, Integral) and count >= least):
             raise ValueError(f"{name}: got {count!r}, expected a whole number of at least {least}.")
@@ -112,7 +115,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
 
 
 def _check(method: str | Method, strain: str, scheme: str, weights: str, integration: Any, edges: Edges,
-           tangent: str | None, floor: float, tolerance: float, solver: Solver | None) -> Options:
+           tangent: str | None, floor: float, ghost: float, tolerance: float, solver: Solver | None) -> Options:
     method = find_method(method)
     for name, value, choices in [("strain", strain, STRAINS), ("scheme", scheme, SCHEMES),
                                  ("weights", weights, WEIGHTS), ("edges", edges, EDGES)]:
@@ -122,11 +125,13 @@ def _check(method: str | Method, strain: str, scheme: str, weights: str, integra
     for name, number in [("floor", floor), ("tolerance", tolerance)]:
         if not (isinstance(number, Real) and 0 <= number < 1):
             raise ValueError(f"{name}: got {number!r}, expected a number from 0 to below 1.")
+    if not (isinstance(ghost, Real) and 0 <= ghost < np.inf):
+        raise ValueError(f"ghost: got {ghost!r}, expected a finite number of at least 0; 0.1 is a usual one.")
     if solver is not None and not callable(solver):
         raise TypeError(f"solver: got {type(solver).__name__}, expected a function solver(A, b) that returns x.")
     integration = find_integration(integration)
-    return Options(integration.method(method), strain, scheme, weights, integration, edges, tangent, floor, tolerance,
-                   solver or solve_direct)
+    return Options(integration.method(method), strain, scheme, weights, integration, edges, tangent, floor, ghost,
+                   tolerance, solver or solve_direct)
 
 
 def _initial(start: Any, boundary: Any) -> State:

@@ -99,5 +99,6 @@ class Options:
     edges: Edges
     tangent: str
     floor: float
+    ghost: float
     tolerance: float
     solver: Solver

@@ -14,6 +14,7 @@ from skfem import Mesh
 from ..basis import ParticleBasis
 from ..checks import check_array
 from ..cover import domains
+from ..ghost import ghost_stiffness, young
 from ..grid import Edges, Grid
 from ..integration import on_points
 from ..kinematics import STRAINS, Kinematics
@@ -66,7 +67,7 @@ class Step:
         self.tangent_operator = self.operator
         if options.tangent == "conjugate":
             self.tangent_operator = self._operator(method.force, method.force)
-        self.floor = self._floor_stiffness()
+        self.soft = self._floor_stiffness() + self._ghost_stiffness()
 
     def _motion(self, particles: Particles) -> Any:
         kinematics = particles.kinematics
@@ -102,6 +103,15 @@ class Step:
         moduli = self._elastic().mean(axis=2, keepdims=True)
         floor = on_points(kinematics, stencil, stencil, volume, x[0])
         return floor.tangent(self.options.floor * moduli, support.number, size)
+
+    def _ghost_stiffness(self) -> csc_array:
+        """Penalty on jumps of the normal gradient at cut cells."""
+        support, size = self.support, self.support.transfer.shape[0]
+        if not self.options.ghost:
+            return csc_array((size, size))
+        in_play = support.occupied | getattr(support, "covered", False)
+        modulus = young(self._elastic().mean(axis=2), self.motion.places)
+        return ghost_stiffness(self.mesh, support, in_play, self.options.ghost * modulus)
 
     def _elastic(self) -> ndarray:
         """Moduli of the unstressed material, ``(m, m, 1)`` or ``(m, m, n)``."""
@@ -166,7 +176,7 @@ class Step:
 
     def _stiffness(self, moduli: ndarray) -> csr_array:
         support = self.support
-        full = self.tangent_operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.floor
+        full = self.tangent_operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.soft
         return support.transfer.T @ full @ support.transfer if support.slaved else full
 
     def _newton(self, problem: _Problem) -> tuple[ndarray, ndarray, tuple[float, ...]]:
@@ -202,7 +212,7 @@ class Step:
         if not self.motion.stretch(gradient).min() > 0:
             return _Iterate(unknowns, multipliers, None, unknowns, np.inf)
         response = self.motion.respond(gradient)
-        soft = support.transfer.T @ (self.floor @ (support.transfer @ unknowns))
+        soft = support.transfer.T @ (self.soft @ (support.transfer @ unknowns))
         force = support.gather(self.operator.force(response.piola)) + soft
         wall = problem.rows.T @ multipliers
         unbalanced = np.linalg.norm((force - problem.external + wall)[support.free])

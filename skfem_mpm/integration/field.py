@@ -19,7 +19,6 @@ from numpy import ndarray
 
 from ..basis import Method, ParticleBasis
 from ..checks import check_positive
-from ..cover import Cover
 from .fit import Fit, monomials
 from .pair import OfStencil, OfTable, Pair
 
@@ -165,8 +164,15 @@ def keep_positive(fit: Fit) -> None:
 
 
 def moments(fit: Fit, hoop: bool) -> tuple[ndarray, ndarray]:
-    """Integrals over units: of the monomials ``(units, nb)``, and of their products with the slopes (and in axial
-    symmetry values over radius) of the corner nodes ``(units, tables, corners, nb)``."""
+    """Integrals over units: of the monomials, and of these times what corner nodes have in a gradient.
+
+    Returns
+    -------
+    amount
+        ``(units, nb)``.
+    corner
+        ``(units, tables, corners, nb)``; slopes along the axes, then if there is a ``hoop`` values over radius.
+    """
     grid, cover = fit.cover.grid, fit.cover
     ring = cover.particles.kinematics.hoop
     unit, x, area = cover.quadrature(fit.order + max(grid.dim - 1 + ring, 2 * ring))

@@ -1,11 +1,12 @@
 r"""Polynomials fitted to what points carry, cell by cell: stress as a field.
 
 In a unit (a cell as one part of the body covers it) a field takes the value
-:math:`s(x) = \sum_p R_p(x)\, s_p` with :math:`R_p(x) = \phi(x)^T Q\, \phi_p\, \omega_p`, where :math:`\phi` are monomials
-in :math:`\xi = (x - x_c) / h`, :math:`\omega_p = e^{-\kappa |\xi_p|^2}` and the sum is over the points of the cells
-around.  With :math:`Q = A^{-1}`, :math:`A = \sum_p \omega_p \phi_p \phi_p^T`, that is the weighted least-squares fit.
+:math:`s(x) = \sum_p R_p(x)\, s_p` with :math:`R_p(x) = \phi(x)^T Q\, \phi_p\, \omega_p`.  Here :math:`\phi` are
+monomials in :math:`\xi = (x - x_c) / h`, :math:`\omega_p = e^{-\kappa |\xi_p|^2}`, and the sum is over the points of
+the cells around.  With :math:`Q = A^{-1}`, :math:`A = \sum_p \omega_p \phi_p \phi_p^T`, that is the weighted
+least-squares fit.
 
-Here :math:`Q` is built degree by degree, and directions in which the points do not tell a slope (or a curvature) apart
+As it is, :math:`Q` is built degree by degree, and directions in which the points do not tell a slope (or a curvature) apart
 are left out: the fit is constant along a row of single points, linear across it.  So it needs no fall-back by layout,
 always reproduces constants, and depends continuously on the points.
 """
@@ -76,7 +77,8 @@ class Fit:
             for part in chunks(len(near)):
                 points = near[part]
                 xi = self.local(unit[points], x[:, points])
-                yield offset, points, unit[points], monomials(xi, self.order) * np.exp(-self.kappa * (xi ** 2).sum(axis=0))
+                weight = np.exp(-self.kappa * (xi ** 2).sum(axis=0))
+                yield offset, points, unit[points], monomials(xi, self.order) * weight
 
     def _gram(self) -> ndarray:
         nb, units = len(monomial_degrees(self.cover.grid.dim, self.order)), len(self.cover.keys)
@@ -86,8 +88,8 @@ class Fit:
             for i in range(nb):
                 for j in range(i, nb):
                     gram[:, i, j] += np.bincount(unit, weights=weighted[i] * phi[j], minlength=units)
-        i, j = np.triu_indices(nb)
-        gram[:, j, i] = gram[:, i, j]
+        upper, right = np.triu_indices(nb)
+        gram[:, right, upper] = gram[:, upper, right]
         return gram
 
     def blend(self, share: ndarray) -> None:
