@@ -12,13 +12,13 @@ from .elements import (
     patch_dofs,
 )
 from .explicit import explicit_steps
-from .implicit import implicit_steps
+from .implicit import Control, implicit_steps
 from .kinematics import axisymmetric, plane_strain, solid, uniaxial
 from .materials import Hencky, LinearElastic, VonMises
 from .particles import Particles
 
 __all__ = [
-    "CMPMBasis", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP", "ElementQuadCMPM",
+    "CMPMBasis", "Control", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP", "ElementQuadCMPM",
     "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "METHODS", "Method", "NotConvergedError",
     "OutsideGridError", "ParticleBasis", "Particles", "UnstableError", "VonMises", "axisymmetric",
     "explicit_steps", "implicit_steps", "patch_dofs", "plane_strain", "solid", "uniaxial",

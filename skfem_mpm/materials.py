@@ -308,6 +308,7 @@ class VonMises(LinearElastic):
         trial = self.trial(strain, stress, components)
         mean, q = self._mean_and_size(trial, components)
         slip = self._slip(q, history[0])
+        slip[slip < 1e-10 * q / (3 * self.G)] = 0       # on the yield surface, left to rounding: elastic for all points
         size = np.where(q > 0, q, 1.0)
         softens = self.peak + self.softening * (history[0] + slip) > self.residual
         hardening = np.where(softens, np.sqrt(3) * self.softening, 0.0)

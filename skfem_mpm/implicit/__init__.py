@@ -17,14 +17,16 @@ from ..integration import find_integration
 from ..kinematics import STRAINS
 from ..particles import Particles
 from ..weights import WEIGHTS
+from .control import Control
 from .solve import solve_direct
 from .state import Options, Solver, State
 from .step import Retry, Step
 
-__all__ = ["State", "implicit_steps", "solve_direct"]
+__all__ = ["Control", "State", "implicit_steps", "solve_direct"]
 
 SCHEMES = ("equilibrated", "incremental")
 TANGENTS = ("exact", "conjugate")
+NUMBER: Any = Real             # of a type that mypy takes for any: it does not know that these can be compared
 
 
 def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | State, material: Any,
@@ -32,8 +34,9 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
                    strain: str = "logarithmic", scheme: str = "equilibrated", weights: str = "one",
                    integration: Any = "points", edges: Edges = "ghost", tangent: str | None = None,
                    gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, ghost: float = 0.0,
-                   tolerance: float = 1e-11, max_cuts: int = 6) -> Iterator[State]:
-    """Bring a body to equilibrium load step by load step; yields a :class:`State` after each.
+                   tolerance: float = 1e-11, max_cuts: int = 6, control: Control | None = None,
+                   dt: float | None = None, numerical_damping: float = 0.0) -> Iterator[State]:
+    r"""Bring a body to equilibrium load step by load step, or move it in time; yields a :class:`State` after each.
 
     Parameters
     ----------
@@ -44,9 +47,10 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     material
         A law such as ``LinearElastic`` or ``Hencky``.
     boundary
-        Fixed planes and walls, see :mod:`skfem_mpm.boundary`; those of the state if not given.
+        Fixed planes and walls, see :mod:`skfem_mpm.boundary`; those of the state if not given.  In dynamics a body may
+        be free.
     steps
-        Number of load steps to do.
+        Number of load steps (or time steps) to do.
     method
         A name of ``METHODS`` or a ``Method``.
     strain
@@ -77,6 +81,17 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         Largest residual of a step, relative to the forces in it.
     max_cuts
         How often a step that does not converge is cut in two before the run stops.
+    control
+        Scales gravity by an unknown factor such that a place of the body moves by a given amount per step: a run passes
+        the peak of its load.  ``state.factor`` is what came out; to go on from a state give ``state.control``.
+    dt
+        Time step; without one there is no inertia.  With one, steps are Newmark's with lumped mass.  Points start from
+        their velocity (at rest if they have none) and from the acceleration that the forces at the start give them; it
+        is carried in the state from then on.
+    numerical_damping
+        ``alpha`` of Newmark's method, :math:`\gamma = \frac12 + \alpha` and
+        :math:`\beta = \frac14 (\frac12 + \gamma)^2`: 0 is the trapezoidal rule, of second order; more damps the highest
+        frequencies most, to first order in ``dt``.
 
     Raises
     ------
@@ -101,6 +116,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     1 0.001
     """
     options = _check(method, strain, scheme, weights, integration, edges, tangent, floor, ghost, tolerance, solver)
+    _check_extras(control, gravity, dt, numerical_damping, scheme)
+    options = replace(options, dt=float(dt or 0.0), numerical_damping=float(numerical_damping))
     for name, count, least in [("steps", steps, 1), ("max_cuts", max_cuts, 0)]:
         if not (isinstance(count, Integral) and count >= least):
             raise ValueError(f"{name}: got {count!r}, expected a whole number of at least {least}.")
@@ -109,7 +126,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     if material.kirchhoff and scheme == "incremental":
         raise ValueError(f"scheme: got 'incremental' with {type(material).__name__}; expected a law whose Cauchy "
                          "stress follows small strains, such as LinearElastic.")
-    state = _initial(start, boundary)
+    state = replace(_initial(start, boundary, free=dt is not None), control=control)
     load = gravity if callable(gravity) else lambda step: gravity
     return _run(mesh, state, material, options, int(steps), load, max_cuts)
 
@@ -134,16 +151,37 @@ def _check(method: str | Method, strain: str, scheme: str, weights: str, integra
                    tolerance, solver or solve_direct)
 
 
-def _initial(start: Any, boundary: Any) -> State:
+def _check_extras(control: Any, gravity: Any, dt: Any, numerical_damping: Any, scheme: str) -> None:
+    """Refuse what makes a step more than a load step and does not fit."""
+    if control is not None and not isinstance(control, Control):
+        raise TypeError(f"control: got {type(control).__name__}, expected a Control.")
+    if control is not None and gravity is None:
+        raise ValueError("control: got no gravity to scale; give the load as gravity.")
+    if dt is not None and not (isinstance(dt, NUMBER) and np.isfinite(dt) and dt > 0):
+        raise ValueError(f"dt: got {dt!r}, expected a time span above zero, or None for steps without inertia.")
+    if not (isinstance(numerical_damping, NUMBER) and 0 <= numerical_damping <= 1):
+        raise ValueError(f"numerical_damping: got {numerical_damping!r}, expected a number from 0 to 1; 0 is none.")
+    if numerical_damping and dt is None:
+        raise ValueError("numerical_damping: got some without a time step; give dt too, or leave it out.")
+    if control is not None and dt is not None:
+        raise ValueError("control: got one with dt; a load is controlled without inertia, so leave one of them out.")
+    if scheme == "incremental" and not (control is None and dt is None):
+        raise ValueError(f"scheme: got 'incremental' with {'dt' if control is None else 'control'}; expected "
+                         "'equilibrated'.")
+
+
+def _initial(start: Any, boundary: Any, free: bool) -> State:
     if not isinstance(start, (Particles, State)):
         raise TypeError(f"start: got {type(start).__name__}, expected Particles, or a State to go on from.")
     if boundary is None and isinstance(start, State):
         return start
+    if boundary is None and free:
+        boundary = ()
     items = tuple(boundary) if isinstance(boundary, Sequence) else (boundary,)
     for item in items:
         if not (hasattr(item, "advanced") and (hasattr(item, "fixes") or hasattr(item, "rows"))):
             raise TypeError(f"boundary: got {type(item).__name__}, expected FixedPlane and Wall objects in a list.")
-    if not items:
+    if not items and not free:
         raise ValueError("boundary: got nothing that holds the body; give a FixedPlane or a Wall.")
     if isinstance(start, State):
         return replace(start, boundary=items)

@@ -40,10 +40,10 @@ def independent_rows(rows: csr_array, values: ndarray) -> ndarray:
 
 
 def solve_constrained(solver: Solver, stiffness: csr_array, force: ndarray, rows: csr_array, values: ndarray,
-                      free: ndarray) -> tuple[ndarray, ndarray]:
-    """Displacements and multipliers of ``stiffness u + rows^T m = force``, ``rows u = values``.
+                      free: ndarray, columns: csr_array | None = None) -> tuple[ndarray, ndarray]:
+    """Displacements and multipliers of ``stiffness u + columns m = force``, ``rows u = values``.
 
-    What is not free is zero.
+    What is not free is zero.  Without ``columns`` they are ``rows^T``; entries of both should be of the size of one.
 
     Raises
     ------
@@ -53,8 +53,9 @@ def solve_constrained(solver: Solver, stiffness: csr_array, force: ndarray, rows
     free = np.flatnonzero(free)
     matrix = csc_array(stiffness) if len(free) == stiffness.shape[0] else csc_array(stiffness)[:, free][free]
     scale = abs(matrix.diagonal()).mean() if len(values) else 1.0    # multipliers of the size of displacements
+    columns = scale * (rows[:, free].T if columns is None else columns[free])
     rows = scale * rows[:, free]
-    system = block_array([[matrix, rows.T], [rows, None]], format="csc") if len(values) else matrix
+    system = block_array([[matrix, columns], [rows, None]], format="csc") if len(values) else matrix
     rhs = np.concatenate([force[free], scale * values])
     try:
         solution = np.asarray(solver(system, rhs))

@@ -14,6 +14,7 @@ from ..grid import Edges
 from ..particles import Particles
 
 Solver = Callable[[Any, ndarray], ndarray]
+NO_STEP = "state: got one without a step behind it; take a state that implicit_steps has yielded."
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,14 @@ class State:
         How the step was made.
     gravity
         Body force per mass that acts now.
+    factor
+        What a :class:`Control` scaled gravity by in the last step; 1 without one.
+    control
+        The control where its place is now; ``None`` without one.
+    time
+        Time passed in steps of dynamics.
+    acceleration
+        ``(dim, n)``; of the points, in steps of dynamics; ``None`` after a load step.
     """
 
     step: int
@@ -52,17 +61,42 @@ class State:
     cuts: int = 0
     scheme: str = ""
     gravity: Any = None
+    factor: float = 1.0
+    control: Any = None
+    time: float = 0.0
+    acceleration: ndarray | None = None
     _recovery: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        for array in (self.displacement, *self.reactions.values()):
-            array.flags.writeable = False
+        for array in (self.displacement, *self.reactions.values(), self.acceleration):
+            if array is not None:
+                array.flags.writeable = False
         object.__setattr__(self, "reactions", MappingProxyType(dict(self.reactions)))
 
     def __reduce__(self) -> tuple:
         # A mapping proxy cannot be pickled.
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return type(self), tuple({**values, "reactions": dict(self.reactions)}.values())
+
+    @property
+    def energy(self) -> dict[str, float]:
+        """Energy of the points, ``kinetic`` and ``elastic``; the latter is not a number if the law has no energy.
+
+        In axial symmetry per radian.
+
+        Raises
+        ------
+        ValueError
+            If there is no step behind the state, and so no law.
+        """
+        if self._recovery is None:
+            raise ValueError(NO_STEP)
+        points, law = self.particles, self._recovery.material
+        kinetic = 0.0 if points.velocity is None else float((points.mass * points.velocity ** 2).sum() / 2)
+        if not hasattr(law, "energy_density"):
+            return {"kinetic": kinetic, "elastic": float("nan")}
+        density = law.energy_density(points.sigma, points.epsilon, points.kinematics.components)
+        return {"kinetic": kinetic, "elastic": float(density @ points.volume)}
 
     def recover(self, x: ndarray, length: ndarray | None = None) -> ndarray:
         """Stress increment of the last step at any positions in the body, ``(ncomp, n)``.
@@ -83,7 +117,7 @@ class State:
             If there is no step to recover from, or a position is not in the body.
         """
         if self._recovery is None:
-            raise ValueError("state: got one without a step behind it; take a state that implicit_steps has yielded.")
+            raise ValueError(NO_STEP)
         return self._recovery(x, length)
 
 
@@ -102,3 +136,5 @@ class Options:
     ghost: float
     tolerance: float
     solver: Solver
+    dt: float = 0.0                         # without inertia
+    numerical_damping: float = 0.0

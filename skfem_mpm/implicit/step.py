@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array, csr_array, hstack
 from skfem import Mesh
 
 from ..basis import ParticleBasis
@@ -21,10 +21,13 @@ from ..kinematics import STRAINS, Kinematics
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
+from .inertia import Inertia
 from .solve import independent_rows, solve_constrained
 from .state import Options, State
 
 MAX_PASSES = 25
+SHARES = tuple(0.5 ** k for k in range(8))    # at the kinks of plastic flow only short ways along the tangent go down
+Walls = tuple[csr_array, ndarray, list[tuple[str, int]]]     # rows, their right-hand sides, and whose they are
 
 
 class Retry(Exception):
@@ -36,8 +39,10 @@ class _Problem:
     """What Newton's method has to meet, and by what it measures how far it is from that."""
 
     external: ndarray
-    rows: csr_array                  # of the walls
+    rows: csr_array                  # of the walls, and of the control
     values: ndarray
+    columns: csr_array               # what multipliers bring in: forces of the walls, and the load that is scaled
+    inertia: Inertia | None = None
     before: float = 0.0              # size of the internal force at the start of the step
     diagonal: ndarray | float = 0.0  # of the last stiffness
 
@@ -128,10 +133,52 @@ class Step:
         if self.options.scheme == "incremental":
             before = self._weight(self.state.gravity)
             unknowns, force, residuals = self._solve_once(external - before, rows, values)
+        elif self.state.control is not None:
+            return self._controlled(share, gravity, external, (rows, values, owner))
+        elif self.options.dt:
+            return self._dynamic(share, gravity, external, (rows, values, owner), load(done))
         else:
-            unknowns, force, residuals = self._newton(_Problem(external, rows, values))
+            unknowns, force, residuals = self._newton(_Problem(external, rows, values, rows.T))
         reactions = self._reactions(force, rows, owner)
         return self._finish(self.support.spread(unknowns), share, residuals, reactions, gravity)
+
+    def _controlled(self, share: float, gravity: Any, load: ndarray, walls: Walls) -> State:
+        """The state where the place of the control has moved on by a share of its increment, and with what load."""
+        rows, values, owner = walls
+        control, free = self.state.control, self.support.free
+        size = np.abs(load[free]).max(initial=0.0)
+        if not size > 0:
+            raise ValueError("control: got no load to scale; give gravity that acts on nodes which are not fixed.")
+        bordered = stack_rows([rows, control.row(self.support)], len(free))
+        if len(independent_rows(bordered[:, np.flatnonzero(free)], np.zeros(len(values) + 1))) == len(values):
+            raise ValueError(f"control: got the place {control.x.tolist()}, which walls and planes do not let move "
+                             f"along {control.direction.tolist()}; choose another place or direction.")
+        columns = hstack([rows.T, csr_array(-load[:, None] / size)], format="csr")
+        problem = _Problem(np.zeros_like(load), bordered, np.append(values, share * control.increment), columns)
+        unknowns, force, residuals = self._newton(problem)
+        factor = force[-1] / size
+        force = np.concatenate([force[:len(load)] - factor * load, force[len(load):-1]])
+        reactions = self._reactions(force, rows, owner)
+        state = self._finish(self.support.spread(unknowns), share, residuals, reactions, factor * np.asarray(gravity))
+        return replace(state, factor=float(factor), control=control.advanced(self.support, unknowns))
+
+    def _dynamic(self, share: float, gravity: Any, external: ndarray, walls: Walls, before: Any) -> State:
+        """The state a share of the time step later."""
+        rows, values, owner = walls
+        options, old = self.options, self.state.acceleration
+        dt = share * options.dt
+        inertia = Inertia(self.support, dt, options.numerical_damping, options.solver)
+        if old is None:
+            internal = self._iterate(_Problem(external, rows, values, rows.T), 0 * external, 0 * values).force
+            old = inertia.at_rest(self._weight(before) - internal, rows)
+        velocity = self.particles.velocity
+        inertia.start(velocity, old)
+        unknowns, force, residuals = self._newton(_Problem(external, rows, values, rows.T, inertia))
+        reactions = self._reactions(force, rows, owner)
+        state = self._finish(self.support.spread(unknowns), share, residuals, reactions, gravity)
+        new = inertia.to_points(inertia.acceleration(unknowns))
+        particles = replace(state.particles, velocity=inertia.velocity(velocity, old, new))
+        return replace(state, particles=particles, acceleration=new, time=self.state.time + dt)
 
     def _constraints(self, share: float) -> tuple[csr_array, ndarray, list[tuple[str, int]]]:
         """Independent wall rows over the solved components, their right-hand sides, and whose they are."""
@@ -144,7 +191,7 @@ class Step:
                 rows += new
                 values += wanted
                 owner += [(wall.name, component) for component in components]
-        if not rows and self.support.free.all():
+        if not rows and self.support.free.all() and not self.options.dt:
             raise ValueError("boundary: nothing is fixed and no wall holds the body; add a FixedPlane or a Wall where "
                              "it is.")
         stacked, targets = stack_rows(rows, self.support.transfer.shape[1]), np.array(values)
@@ -185,9 +232,11 @@ class Step:
         residuals: list[float] = []
         for _ in range(MAX_PASSES):
             stiffness = self._stiffness(at.response.tangent())
+            if problem.inertia is not None:
+                stiffness = stiffness + problem.inertia.stiffness
             problem = replace(problem, diagonal=stiffness.diagonal())
             change, target = self._linear_solve(stiffness, problem.external - at.force, problem.rows,
-                                                problem.values - problem.rows @ at.unknowns)
+                                                problem.values - problem.rows @ at.unknowns, problem.columns)
             at = self._line_search(problem, at, change, target, first=not residuals)
             residuals.append(at.residual)
             if at.residual <= self.options.tolerance:
@@ -196,7 +245,7 @@ class Step:
 
     def _line_search(self, problem: _Problem, at: _Iterate, change: ndarray, target: ndarray, first: bool) -> _Iterate:
         """Take the largest of a few shares of the change that lowers the residual; in the first pass the whole."""
-        for scale in (1.0,) if first else (1.0, 0.5, 0.25, 0.125):
+        for scale in SHARES[:1] if first else SHARES:
             multipliers = at.multipliers + scale * (target - at.multipliers)
             trial = self._iterate(problem, at.unknowns + scale * change, multipliers)
             if np.isfinite(trial.residual) and (first or trial.residual < max(at.residual, self.options.tolerance)):
@@ -214,16 +263,18 @@ class Step:
         response = self.motion.respond(gradient)
         soft = support.transfer.T @ (self.soft @ (support.transfer @ unknowns))
         force = support.gather(self.operator.force(response.piola)) + soft
-        wall = problem.rows.T @ multipliers
+        if problem.inertia is not None:
+            force = force + problem.inertia.force(unknowns)
+        wall = problem.columns @ multipliers
         unbalanced = np.linalg.norm((force - problem.external + wall)[support.free])
         size = problem.before + sum(np.linalg.norm(part) for part in (force, problem.external, wall))
         noise = 1e-14 * np.linalg.norm(problem.diagonal * unknowns)    # all there is where nothing resists
         residual = 0.0 if unbalanced <= noise else float(unbalanced / size)
         return _Iterate(unknowns, multipliers, response, force, residual)
 
-    def _linear_solve(self, stiffness: csr_array, force: ndarray, rows: csr_array,
-                      values: ndarray) -> tuple[ndarray, ndarray]:
-        return solve_constrained(self.options.solver, stiffness, force, rows, values, self.support.free)
+    def _linear_solve(self, stiffness: csr_array, force: ndarray, rows: csr_array, values: ndarray,
+                      columns: csr_array | None = None) -> tuple[ndarray, ndarray]:
+        return solve_constrained(self.options.solver, stiffness, force, rows, values, self.support.free, columns)
 
     # -- afterwards --------------------------------------------------------------------------------------------------
 
@@ -262,7 +313,7 @@ class Step:
         recovery = _Recovery(support.grid, basis, self.options.edges, support.sides_of(basis), support.occupied, u,
                              STRAINS[self.options.strain], old.kinematics, self.material)
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
-                     scheme=self.options.scheme, gravity=gravity, _recovery=recovery)
+                     scheme=self.options.scheme, gravity=gravity, time=self.state.time, _recovery=recovery)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,8 +345,10 @@ class _Recovery:
 
 
 def _needed(particles: Particles, options: Options) -> Particles:
-    """Only what the scene requires: domains are carried along if a basis or the weights read them."""
+    """Only what the scene requires: velocity with inertia, domains if a basis or the weights read them."""
     method = options.method
+    if not options.dt:
+        particles = replace(particles, velocity=None)
     uses_domains = any(basis.reads_domains for basis in (method.mass, method.strain, method.force))
     if options.integration.covers:
         particles = replace(particles, spans=domains(particles))
