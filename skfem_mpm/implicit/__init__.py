@@ -17,11 +17,12 @@ from ..integration import find_integration
 from ..kinematics import STRAINS
 from ..particles import Particles
 from ..weights import WEIGHTS
-from .solve import solve_direct
+from .engine import engine_of
+from .solve import solve_cg, solve_direct
 from .state import Options, Solver, State
 from .step import Retry, Step
 
-__all__ = ["State", "implicit_steps", "solve_direct"]
+__all__ = ["State", "implicit_steps", "solve_cg", "solve_direct"]
 
 SCHEMES = ("equilibrated", "incremental")
 TANGENTS = ("exact", "conjugate")
@@ -32,7 +33,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
                    strain: str = "logarithmic", scheme: str = "equilibrated", weights: str = "one",
                    integration: Any = "points", edges: Edges = "ghost", tangent: str | None = None,
                    gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, tolerance: float = 1e-11,
-                   max_cuts: int = 6) -> Iterator[State]:
+                   max_cuts: int = 6, engine: str = "auto") -> Iterator[State]:
     """Bring a body to equilibrium load step by load step; yields a :class:`State` after each.
 
     Parameters
@@ -66,19 +67,25 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     gravity
         Body force per mass ``(dim,)``, or a function of the (possibly fractional) step that gives it.
     solver
-        Any scikit-fem style ``solver(A, b)``; SuperLU with minimum-degree ordering if not given.  With walls the matrix
-        is symmetric indefinite (multipliers), and unsymmetric for methods whose strain is not conjugate to force.
+        Any scikit-fem style ``solver(A, b)``, such as :func:`solve_direct` or :func:`solve_cg`.  If not given, large
+        systems are factorised once per step, by SuperLU, and GMRES makes up for what has changed since.  With walls the
+        matrix is symmetric indefinite (multipliers), and unsymmetric for methods whose strain is not conjugate to
+        force.
     floor
         Soft elastic stiffness as a share of the mean modulus, on all cells around the body.
     tolerance
         Largest residual of a step, relative to the forces in it.
     max_cuts
         How often a step that does not converge is cut in two before the run stops.
+    engine
+        ``numpy``, ``numba`` (the extra ``fast``), or ``auto``: numba for many points.  Both agree to rounding.
 
     Raises
     ------
     ValueError, TypeError
         If an argument is unknown or does not fit.
+    ImportError
+        If ``engine`` is ``numba`` and numba is not installed.
     OutsideGridError
         If a point, a domain or a wall leaves the grid.
     NotConvergedError
@@ -107,6 +114,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         raise ValueError(f"scheme: got 'incremental' with {type(material).__name__}; expected a law whose Cauchy "
                          "stress follows small strains, such as LinearElastic.")
     state = _initial(start, boundary)
+    options = replace(options, engine=engine_of(engine, state, options.method))
     load = gravity if callable(gravity) else lambda step: gravity
     return _run(mesh, state, material, options, int(steps), load, max_cuts)
 
@@ -125,7 +133,7 @@ def _check(method: str | Method, strain: str, scheme: str, weights: str, integra
     if solver is not None and not callable(solver):
         raise TypeError(f"solver: got {type(solver).__name__}, expected a function solver(A, b) that returns x.")
     return Options(method, strain, scheme, weights, find_integration(integration), edges, tangent, floor, tolerance,
-                   solver or solve_direct)
+                   solver)
 
 
 def _initial(start: Any, boundary: Any) -> State:

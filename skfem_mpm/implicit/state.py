@@ -41,6 +41,8 @@ class State:
         How the step was made.
     gravity
         Body force per mass that acts now.
+    engine
+        What assembled it, ``numpy`` or ``numba``.
     """
 
     step: int
@@ -52,6 +54,7 @@ class State:
     cuts: int = 0
     scheme: str = ""
     gravity: Any = None
+    engine: str = "numpy"
     _recovery: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -100,4 +103,5 @@ class Options:
     tangent: str
     floor: float
     tolerance: float
-    solver: Solver
+    solver: Solver | None
+    engine: str = "numpy"

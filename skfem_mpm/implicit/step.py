@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ from ..kinematics import STRAINS, Kinematics
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
-from .solve import independent_rows, solve_constrained
+from .engine import made_for
+from .solve import Factors, bordered, independent_rows, solve_constrained
 from .state import Options, State
 
 MAX_PASSES = 25
@@ -66,6 +68,7 @@ class Step:
         if options.tangent == "conjugate":
             self.tangent_operator = self._operator(method.force, method.force)
         self.floor = self._floor_stiffness()
+        self.factors = Factors()
 
     def _motion(self, particles: Particles) -> Any:
         kinematics = particles.kinematics
@@ -79,7 +82,16 @@ class Step:
         support, points = self.support, self.particles
         factor = weights(self.options.weights, support.grid, support.index, points.x, points.volume,
                          points.kinematics.hoop, points.length)
-        return self.options.integration.pair(support, force, strain, factor)
+        return made_for(self.options.engine, self.options.integration.pair(support, force, strain, factor))
+
+    @cached_property
+    def _narrow(self) -> Any:
+        """Operators of linear functions in the points' own cells, if those of the tangent are wider."""
+        if self.tangent_operator.width <= 2:
+            return None
+        support, points = self.support, self.particles
+        stencil = support.grid.linear(points.x, support.index)
+        return made_for(self.options.engine, on_points(points.kinematics, stencil, stencil, points.volume, points.x[0]))
 
     def _floor_stiffness(self) -> csc_array:
         """Soft stiffness of whole cells, with two Gauss points per axis; ordinary finite elements."""
@@ -100,7 +112,7 @@ class Step:
         stencil = grid.linear(x, index)
         moduli = self._elastic().mean(axis=2, keepdims=True)
         floor = on_points(kinematics, stencil, stencil, volume, x[0])
-        return floor.tangent(self.options.floor * moduli, support.number, size)
+        return made_for(self.options.engine, floor).tangent(self.options.floor * moduli, support.number, size)
 
     def _elastic(self) -> ndarray:
         """Moduli of the unstressed material, ``(m, m, 1)`` or ``(m, m, n)``."""
@@ -164,8 +176,13 @@ class Step:
         return unknowns, np.concatenate([unbalanced, multipliers]), ()
 
     def _stiffness(self, moduli: ndarray) -> csr_array:
+        operator, narrow = self.tangent_operator, self._narrow
+        self.near = partial(self._assembled, narrow, moduli) if narrow else None
+        return self._assembled(operator, moduli)
+
+    def _assembled(self, operator: Any, moduli: ndarray) -> csr_array:
         support = self.support
-        full = self.tangent_operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.floor
+        full = operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.floor
         return support.transfer.T @ full @ support.transfer if support.slaved else full
 
     def _newton(self, problem: _Problem) -> tuple[ndarray, ndarray, tuple[float, ...]]:
@@ -212,7 +229,10 @@ class Step:
 
     def _linear_solve(self, stiffness: csr_array, force: ndarray, rows: csr_array,
                       values: ndarray) -> tuple[ndarray, ndarray]:
-        return solve_constrained(self.options.solver, stiffness, force, rows, values, self.support.free)
+        solver, free = self.options.solver, self.support.free
+        if solver is None:
+            solver = self.factors.solver(lambda: bordered(self.near() if self.near else stiffness, rows, free)[0])
+        return solve_constrained(solver, stiffness, force, rows, values, free)
 
     # -- afterwards --------------------------------------------------------------------------------------------------
 
@@ -250,7 +270,7 @@ class Step:
         recovery = _Recovery(support.grid, basis, self.options.edges, support.sides_of(basis), support.occupied, u,
                              STRAINS[self.options.strain], old.kinematics, self.material)
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
-                     scheme=self.options.scheme, gravity=gravity, _recovery=recovery)
+                     scheme=self.options.scheme, gravity=gravity, engine=self.options.engine, _recovery=recovery)
 
 
 @dataclass(frozen=True, eq=False)
