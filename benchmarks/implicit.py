@@ -1,9 +1,12 @@
 """What does an implicit Newton pass cost, and where does the time go?
 
 A block of 2-D points (4 per cell, plane strain, logarithmic strain) under its own weight.  Prints one JSON line per
-method and size: medians of the repeats in seconds, with their smallest and largest, per-point nanoseconds, and memory.
+method and size.  Seconds are ``[smallest, median, largest]`` of the repeats; both engines take turns in one run, and
+``ratio`` is how many times faster numba is, by the smallest.  ``table`` is a pair with 16 nodes per point and a number
+of its own for each, as in field integration.  A pass is respond, gradient_force, moduli, tangent and one solve: the
+direct one, or ``first`` and ``later`` solve of a step that keeps its factorisation.
 
-    python benchmarks/implicit.py                       100k points, mpm, gimp, cmpm
+    python benchmarks/implicit.py                       100k points, mpm, gimp, cmpm, table
     python benchmarks/implicit.py --points 10000 100000 1000000 --methods mpm --no-solve
     python benchmarks/implicit.py --empty 10            ten times more empty mesh around the same body
 """
@@ -25,18 +28,35 @@ from skfem_mpm.boundary import FixedPlane
 from skfem_mpm.grid import Grid
 from skfem_mpm.implicit import State, solve_direct
 from skfem_mpm.implicit.state import Options
-from skfem_mpm.implicit.step import Step, _Problem
+from skfem_mpm.implicit.step import Step
+from skfem_mpm.integration import OfTable, Pair, Points, find_integration
 from skfem_mpm.support import stack_rows
 
+LAW = LinearElastic(E=1e3, nu=0.3)
+BOUNDARY = (FixedPlane(1, 0.0, -1, (0, 1), name="base"), FixedPlane(0, 0.0, -1, name="left"),
+            FixedPlane(0, 1.0, 1, name="right"))
 
-def median(work, repeats):
-    """Result of ``work``, and median, smallest and largest of its seconds."""
-    seconds = []
+
+class Table(Points):
+    """Points are the quadrature, but the pair is told so number by number: 16 nodes per point."""
+
+    def pair(self, support, force, strain, weight):
+        stencil = support.stencil(METHODS["cmpm"].strain)
+        points = support.particles
+        functions = OfTable(stencil.base, np.ascontiguousarray(stencil.gradient()), stencil.shape)
+        return Pair(points.kinematics, functions, functions, weight * points.volume)
+
+
+def seconds(works, repeats):
+    """Results of some works, which take turns, and smallest, median and largest of the seconds of each."""
+    taken = [[] for _ in works]
+    results = [work() for work in works]        # kernels are compiled, caches filled
     for _ in range(repeats):
-        begin = time.perf_counter()
-        result = work()
-        seconds.append(time.perf_counter() - begin)
-    return result, [float(value) for value in (np.median(seconds), min(seconds), max(seconds))]
+        for k, work in enumerate(works):
+            begin = time.perf_counter()
+            results[k] = work()
+            taken[k].append(time.perf_counter() - begin)
+    return results, [[round(float(f(each)), 5) for f in (np.min, np.median, np.max)] for each in taken]
 
 
 def block(points, empty):
@@ -51,48 +71,62 @@ def block(points, empty):
     return MeshQuad.init_tensor(axis, axis), replace(particles, x=particles.x + jitter)
 
 
+def steps_of(method, mesh, particles):
+    """The step with either engine."""
+    wide, state = method == "table", State(0, particles, BOUNDARY, np.zeros((2, 0)), {})
+    options = Options(METHODS["cmpm-c" if wide else method], "logarithmic", "equilibrated", "one",
+                      Table() if wide else find_integration("points"), "ghost", "exact", 1e-6, 1e-11, None)
+    return [Step(mesh, state, LAW, replace(options, engine=engine)) for engine in ("numpy", "numba")]
+
+
 def measure(method, points, empty, repeats, solve):
     mesh, particles = block(points, empty)
-    boundary = (FixedPlane(1, 0.0, -1, (0, 1), name="base"), FixedPlane(0, 0.0, -1, name="left"),
-                FixedPlane(0, 1.0, 1, name="right"))
-    law = LinearElastic(E=1e3, nu=0.3)
-    options = Options(METHODS[method], "logarithmic", "equilibrated", "one", "points", "ghost", "exact", 1e-6, 1e-11,
-                      solve_direct)
-    state = State(0, particles, boundary, np.zeros((2, 0)), {})
-
     grid = Grid.from_mesh(mesh)
-    index, locate = median(lambda: grid.locate(particles.x), repeats)
-    step, setup = median(lambda: Step(mesh, state, law, options), repeats)
-    support = step.support
-    chosen = {METHODS[method].mass, METHODS[method].strain, METHODS[method].force}
+    row = {"method": method, "points": particles.n, "mesh_cells": mesh.nelements}
+    _, (row["locate"],) = seconds([lambda: grid.locate(particles.x)], repeats)
+    _, (row["setup_of_step"],) = seconds([lambda: steps_of(method, mesh, particles)[1]], repeats)
+    steps = steps_of(method, mesh, particles)
+    slow, fast = steps
+    u = slow.support.spread(np.zeros(slow.support.transfer.shape[1]))
+    gradient = slow.operator.gradient(u)
+    (response,), (row["respond"],) = seconds([lambda: slow.motion.respond(gradient)], repeats)
+    (moduli,), (row["moduli"],) = seconds([response.tangent], repeats)
 
-    def stencils():
-        support._stencils.clear()
-        return [support.stencil(basis) for basis in chosen]
+    def both(name, work):
+        results, (row[f"{name}_numpy"], row[name]) = seconds([lambda step=step: work(step) for step in steps], repeats)
+        row[f"{name}_ratio"] = round(row[f"{name}_numpy"][0] / row[name][0], 1)
+        return results
 
-    _, stencil = median(stencils, repeats)
-    unknowns = np.zeros(support.transfer.shape[1])
-    nothing, external = stack_rows([], len(unknowns)), step._weight((0.0, -1e-3))
-    problem = _Problem(external, nothing, np.zeros(0))
-    start, residual = median(lambda: step._iterate(problem, unknowns, np.zeros(0)), repeats)
-    moduli, tangent = median(start.response.tangent, repeats)
-    stiffness, assemble = median(lambda: step._stiffness(moduli), repeats)
-    row = {"method": method, "points": particles.n, "dofs": int(support.free.sum()), "nonzeros": int(stiffness.nnz),
-           "mesh_cells": mesh.nelements, "setup_of_step": setup, "locate": locate, "stencil": stencil,
-           "residual": residual, "moduli": tangent, "assemble": assemble}
-    whole = residual[0] + tangent[0] + assemble[0]
-    row["tangent_and_residual"] = whole
-    row["ns_per_point"] = {name: round(1e9 * row[name][0] / particles.n) for name in ("locate", "stencil", "assemble")}
+    both("gradient_force", lambda step: (step.operator.gradient(u), step.operator.force(response.piola)))
+    both("tangent", lambda step: step.tangent_operator.tangent(moduli, step.support.number, step.floor.shape[0]))
+    stiffness = both("stiffness", lambda step: step._stiffness(moduli))[1]     # with the soft floor and slaved nodes
+    row |= {"dofs": int(fast.support.free.sum()), "nonzeros": int(stiffness.nnz)}
     if solve:
-        _, row["solve"] = median(lambda: step._linear_solve(stiffness, external - start.force, nothing, np.zeros(0)),
-                                 min(3, repeats))
-        row["newton_pass"] = whole + row["solve"][0]
+        row |= solves(fast, stiffness, moduli, min(3, repeats))
+        rest = sum(row[name][0] for name in ("respond", "moduli", "gradient_force", "stiffness"))
+        row |= {f"{name}_pass": round(rest + row[name][0], 3) for name in ("direct", "first", "later")}
     return row
+
+
+def solves(step, stiffness, moduli, repeats):
+    """Seconds of factorising the matrix itself; of the first solve of a step; of a later one, moduli 2 % different."""
+    force, none = step._weight((0.0, -1.0)), stack_rows([], stiffness.shape[0])
+    shaken = np.random.default_rng(1).uniform(0.98, 1.02, step.particles.n)
+    other = step._stiffness(moduli * shaken)
+
+    def first():
+        step.factors.factor = None
+        return step._linear_solve(stiffness, force, none, np.zeros(0))
+
+    later = seconds([first, lambda: step._linear_solve(other, force, none, np.zeros(0))], repeats)[1]
+    step.options = replace(step.options, solver=solve_direct)
+    (direct,) = seconds([lambda: step._linear_solve(stiffness, force, none, np.zeros(0))], repeats)[1]
+    return {"direct": direct, "first": later[0], "later": later[1]}
 
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--points", type=int, nargs="+", default=[100_000])
-parser.add_argument("--methods", nargs="+", default=["mpm", "gimp", "cmpm"], choices=METHODS)
+parser.add_argument("--methods", nargs="+", default=["mpm", "gimp", "cmpm", "table"], choices=[*METHODS, "table"])
 parser.add_argument("--empty", type=float, default=0.0, help="empty cells around the body, as a multiple of its own")
 parser.add_argument("--repeats", type=int, default=5)
 parser.add_argument("--no-solve", action="store_true", help="leave the linear solve out (it does not scale linearly)")

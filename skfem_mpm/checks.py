@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
+import warnings
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
+
+ENGINES = ("auto", "numpy", "numba")
 
 
 class OutsideGridError(ValueError):
@@ -63,3 +67,23 @@ def check_choice(name: str, value: Any, choices: Iterable[str]) -> None:
     choices = tuple(choices)
     if value not in choices:
         raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(map(repr, choices))}.")
+
+
+def choose_engine(engine: str, pays: bool) -> str:
+    """The engine that runs, ``numpy`` or ``numba``, where ``auto`` leaves the choice to whether numba ``pays``.
+
+    Raises
+    ------
+    ImportError
+        If ``engine`` is ``numba`` and numba is not installed.
+    """
+    if engine == "numpy" or (engine == "auto" and not pays):
+        return "numpy"
+    if importlib.util.find_spec("numba") is not None:
+        return "numba"
+    if engine == "numba":
+        raise ImportError("engine: got 'numba', which is not installed; install the extra with "
+                          "pip install 'skfem-mpm[fast]', or use engine='numpy'.")
+    warnings.warn("a run of this size is many times faster with numba: pip install 'skfem-mpm[fast]'.", UserWarning,
+                  stacklevel=4)
+    return "numpy"

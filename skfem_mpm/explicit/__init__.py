@@ -12,11 +12,11 @@ import numpy as np
 from skfem import Mesh
 
 from ..basis import Method, find_method
-from ..checks import check_array, check_choice
+from ..checks import ENGINES, check_array, check_choice
 from ..grid import EDGES, Edges
 from ..kinematics import RATES
 from ..particles import Particles
-from .engine import ENGINES, make_run
+from .engine import make_run
 from .run import Run
 from .state import LEDGER, Choices, ExplicitState, remaps
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
-import warnings
 from typing import Any
 
 from skfem import Mesh
 
 from ..basis import CMPMBasis, GIMPBasis, Method, ParticleBasis
+from ..checks import choose_engine
 from .run import Run
 from .state import Choices, ExplicitState
 
-ENGINES = ("auto", "numpy", "numba")
 # Points from which numba pays, by dimension and number of nodes per axis of the widest stencil: below, a run of some
 # hundred steps takes less time than numba takes to load.
 WORTHWHILE = {(1, 2): 2000, (1, 4): 2000, (2, 2): 300, (2, 4): 200, (3, 2): 100, (3, 4): 50}
@@ -35,15 +33,7 @@ def make_run(engine: str, threads: int, mesh: Mesh, start: ExplicitState, materi
     if engine == "numba" and not known:
         raise ValueError("engine: got 'numba' with a basis of your own, which has no compiled stencil; use "
                          "engine='numpy'.")
-    wanted = engine == "numba" or (engine == "auto" and known and _pays(start, method))
-    if not wanted:
-        return Run(mesh, start, material, choices)
-    if importlib.util.find_spec("numba") is None:
-        if engine == "numba":
-            raise ImportError("engine: got 'numba', which is not installed; install the extra with "
-                              "pip install 'skfem-mpm[fast]', or use engine='numpy'.")
-        warnings.warn("a run of this size is many times faster with numba: pip install 'skfem-mpm[fast]'.", UserWarning,
-                      stacklevel=3)
+    if choose_engine(engine, known and _pays(start, method)) == "numpy":
         return Run(mesh, start, material, choices)
     from .compiled import CompiledRun  # numba is slow to import
     return CompiledRun(mesh, start, material, choices, threads)

@@ -18,11 +18,12 @@ from ..kinematics import STRAINS
 from ..particles import Particles
 from ..weights import WEIGHTS
 from .control import Control
-from .solve import solve_direct
+from .engine import engine_of
+from .solve import solve_cg, solve_direct
 from .state import Options, Solver, State
 from .step import Retry, Step
 
-__all__ = ["Control", "State", "implicit_steps", "solve_direct"]
+__all__ = ["Control", "State", "implicit_steps", "solve_cg", "solve_direct"]
 
 SCHEMES = ("equilibrated", "incremental")
 TANGENTS = ("exact", "conjugate")
@@ -35,7 +36,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
                    integration: Any = "points", edges: Edges = "ghost", tangent: str | None = None,
                    gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, ghost: float = 0.0,
                    tolerance: float = 1e-11, max_cuts: int = 6, control: Control | None = None,
-                   dt: float | None = None, numerical_damping: float = 0.0) -> Iterator[State]:
+                   dt: float | None = None, numerical_damping: float = 0.0, engine: str = "auto") -> Iterator[State]:
     r"""Bring a body to equilibrium load step by load step, or move it in time; yields a :class:`State` after each.
 
     Parameters
@@ -70,8 +71,10 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     gravity
         Body force per mass ``(dim,)``, or a function of the (possibly fractional) step that gives it.
     solver
-        Any scikit-fem style ``solver(A, b)``; SuperLU with minimum-degree ordering if not given.  With walls the matrix
-        is symmetric indefinite (multipliers), and unsymmetric for methods whose strain is not conjugate to force.
+        Any scikit-fem style ``solver(A, b)``, such as :func:`solve_direct` or :func:`solve_cg`.  If not given, large
+        systems are factorised once per step, by SuperLU, and GMRES makes up for what has changed since.  With walls the
+        matrix is symmetric indefinite (multipliers), and unsymmetric for methods whose strain is not conjugate to
+        force.
     floor
         Soft elastic stiffness as a share of the mean modulus, on all cells around the body.
     ghost
@@ -92,11 +95,15 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         ``alpha`` of Newmark's method, :math:`\gamma = \frac12 + \alpha` and
         :math:`\beta = \frac14 (\frac12 + \gamma)^2`: 0 is the trapezoidal rule, of second order; more damps the highest
         frequencies most, to first order in ``dt``.
+    engine
+        ``numpy``, ``numba`` (the extra ``fast``), or ``auto``: numba for many points.  Both agree to rounding.
 
     Raises
     ------
     ValueError, TypeError
         If an argument is unknown or does not fit.
+    ImportError
+        If ``engine`` is ``numba`` and numba is not installed.
     OutsideGridError
         If a point, a domain or a wall leaves the grid.
     NotConvergedError
@@ -127,6 +134,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         raise ValueError(f"scheme: got 'incremental' with {type(material).__name__}; expected a law whose Cauchy "
                          "stress follows small strains, such as LinearElastic.")
     state = replace(_initial(start, boundary, free=dt is not None), control=control)
+    options = replace(options, engine=engine_of(engine, state, options.method))
     load = gravity if callable(gravity) else lambda step: gravity
     return _run(mesh, state, material, options, int(steps), load, max_cuts)
 
@@ -148,7 +156,7 @@ def _check(method: str | Method, strain: str, scheme: str, weights: str, integra
         raise TypeError(f"solver: got {type(solver).__name__}, expected a function solver(A, b) that returns x.")
     integration = find_integration(integration)
     return Options(integration.method(method), strain, scheme, weights, integration, edges, tangent, floor, ghost,
-                   tolerance, solver or solve_direct)
+                   tolerance, solver)
 
 
 def _check_extras(control: Any, gravity: Any, dt: Any, numerical_damping: Any, scheme: str) -> None:

@@ -50,6 +50,8 @@ class State:
         Time passed in steps of dynamics.
     acceleration
         ``(dim, n)``; of the points, in steps of dynamics; ``None`` after a load step.
+    engine
+        What assembled it, ``numpy`` or ``numba``.
     """
 
     step: int
@@ -65,6 +67,7 @@ class State:
     control: Any = None
     time: float = 0.0
     acceleration: ndarray | None = None
+    engine: str = "numpy"
     _recovery: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -135,6 +138,7 @@ class Options:
     floor: float
     ghost: float
     tolerance: float
-    solver: Solver
+    solver: Solver | None
     dt: float = 0.0                         # without inertia
     numerical_damping: float = 0.0
+    engine: str = "numpy"

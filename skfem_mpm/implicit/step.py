@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,9 @@ from ..kinematics import STRAINS, Kinematics
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
+from .engine import made_for
 from .inertia import Inertia
-from .solve import independent_rows, solve_constrained
+from .solve import Factors, bordered, independent_rows, solve_constrained, solve_direct
 from .state import Options, State
 
 MAX_PASSES = 25
@@ -73,6 +75,8 @@ class Step:
         if options.tangent == "conjugate":
             self.tangent_operator = self._operator(method.force, method.force)
         self.soft = self._floor_stiffness() + self._ghost_stiffness()
+        self.inertial: Any = None
+        self.factors = Factors()
 
     def _motion(self, particles: Particles) -> Any:
         kinematics = particles.kinematics
@@ -86,7 +90,16 @@ class Step:
         support, points = self.support, self.particles
         factor = weights(self.options.weights, support.grid, support.index, points.x, points.volume,
                          points.kinematics.hoop, points.length)
-        return self.options.integration.pair(support, force, strain, factor)
+        return made_for(self.options.engine, self.options.integration.pair(support, force, strain, factor))
+
+    @cached_property
+    def _narrow(self) -> Any:
+        """Operators of linear functions in the points' own cells, if those of the tangent are wider."""
+        if self.tangent_operator.width <= 2:
+            return None
+        support, points = self.support, self.particles
+        stencil = support.grid.linear(points.x, support.index)
+        return made_for(self.options.engine, on_points(points.kinematics, stencil, stencil, points.volume, points.x[0]))
 
     def _floor_stiffness(self) -> csc_array:
         """Soft stiffness of whole cells, with two Gauss points per axis; ordinary finite elements."""
@@ -107,7 +120,7 @@ class Step:
         stencil = grid.linear(x, index)
         moduli = self._elastic().mean(axis=2, keepdims=True)
         floor = on_points(kinematics, stencil, stencil, volume, x[0])
-        return floor.tangent(self.options.floor * moduli, support.number, size)
+        return made_for(self.options.engine, floor).tangent(self.options.floor * moduli, support.number, size)
 
     def _ghost_stiffness(self) -> csc_array:
         """Penalty on jumps of the normal gradient at cut cells."""
@@ -167,12 +180,13 @@ class Step:
         rows, values, owner = walls
         options, old = self.options, self.state.acceleration
         dt = share * options.dt
-        inertia = Inertia(self.support, dt, options.numerical_damping, options.solver)
+        inertia = Inertia(self.support, dt, options.numerical_damping, options.solver or solve_direct)
         if old is None:
             internal = self._iterate(_Problem(external, rows, values, rows.T), 0 * external, 0 * values).force
             old = inertia.at_rest(self._weight(before) - internal, rows)
         velocity = self.particles.velocity
         inertia.start(velocity, old)
+        self.inertial = inertia.stiffness
         unknowns, force, residuals = self._newton(_Problem(external, rows, values, rows.T, inertia))
         reactions = self._reactions(force, rows, owner)
         state = self._finish(self.support.spread(unknowns), share, residuals, reactions, gravity)
@@ -222,9 +236,16 @@ class Step:
         return unknowns, np.concatenate([unbalanced, multipliers]), ()
 
     def _stiffness(self, moduli: ndarray) -> csr_array:
+        operator, narrow = self.tangent_operator, self._narrow
+        self.near = partial(self._assembled, narrow, moduli) if narrow else None
+        return self._assembled(operator, moduli)
+
+    def _assembled(self, operator: Any, moduli: ndarray) -> csr_array:
         support = self.support
-        full = self.tangent_operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.soft
-        return support.transfer.T @ full @ support.transfer if support.slaved else full
+        full = operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.soft
+        if support.slaved:
+            full = support.transfer.T @ full @ support.transfer
+        return full if self.inertial is None else full + self.inertial
 
     def _newton(self, problem: _Problem) -> tuple[ndarray, ndarray, tuple[float, ...]]:
         at = self._iterate(problem, np.zeros(problem.rows.shape[1]), np.zeros(len(problem.values)))
@@ -232,8 +253,6 @@ class Step:
         residuals: list[float] = []
         for _ in range(MAX_PASSES):
             stiffness = self._stiffness(at.response.tangent())
-            if problem.inertia is not None:
-                stiffness = stiffness + problem.inertia.stiffness
             problem = replace(problem, diagonal=stiffness.diagonal())
             change, target = self._linear_solve(stiffness, problem.external - at.force, problem.rows,
                                                 problem.values - problem.rows @ at.unknowns, problem.columns)
@@ -274,7 +293,11 @@ class Step:
 
     def _linear_solve(self, stiffness: csr_array, force: ndarray, rows: csr_array, values: ndarray,
                       columns: csr_array | None = None) -> tuple[ndarray, ndarray]:
-        return solve_constrained(self.options.solver, stiffness, force, rows, values, self.support.free, columns)
+        solver, free = self.options.solver, self.support.free
+        if solver is None:
+            near = self.near
+            solver = self.factors.solver(lambda: bordered(near() if near else stiffness, rows, free, columns)[0])
+        return solve_constrained(solver, stiffness, force, rows, values, free, columns)
 
     # -- afterwards --------------------------------------------------------------------------------------------------
 
@@ -313,7 +336,8 @@ class Step:
         recovery = _Recovery(support.grid, basis, self.options.edges, support.sides_of(basis), support.occupied, u,
                              STRAINS[self.options.strain], old.kinematics, self.material)
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
-                     scheme=self.options.scheme, gravity=gravity, time=self.state.time, _recovery=recovery)
+                     scheme=self.options.scheme, gravity=gravity, time=self.state.time, engine=self.options.engine,
+                     _recovery=recovery)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ the cells around.  With :math:`Q = A^{-1}`, :math:`A = \sum_p \omega_p \phi_p \p
 least-squares fit.
 
 As it is, :math:`Q` is built degree by degree, and directions in which the points do not tell a slope (or a curvature)
-apart are left out: the fit is constant along a row of single points, linear across it.  So it needs no fall-back by layout,
-always reproduces constants, and depends continuously on the points.
+apart are left out: the fit is constant along a row of single points, linear across it.  So it needs no fall-back by
+layout, always reproduces constants, and depends continuously on the points.
 """
 
 from __future__ import annotations

@@ -107,6 +107,11 @@ class Pair:
         place = [(0, self.dim) if kinematics.hoop and q == self.dim ** 2 else ij for q, ij in enumerate(self.rows)]
         self.terms = [[(q, l) for q, (component, l) in enumerate(place) if component == i] for i in range(self.dim)]
 
+    @property
+    def width(self) -> int:
+        """Nodes per axis of the wider functions."""
+        return max(self.force_functions.width, self.strain_functions.width)
+
     def gradient(self, u: ndarray) -> ndarray:
         """:math:`G u`: displacement gradient at the points, ``(m, n)``."""
         out = np.empty((len(self.rows), self.volume.size))
@@ -146,15 +151,20 @@ class Pair:
         table *column node x offset of the row node*: sums need no search and no sorting.
         """
         reach, dim = self._reach(), self.dim
-        known = np.flatnonzero(number[0] >= 0)
-        compact = np.full(number.shape[1], len(known))    # nodes without unknowns share one column, dropped after
-        compact[known] = np.arange(len(known))
+        known, compact = self._known(number)
         table = np.zeros((dim, dim, (len(known) + 1) * (2 * reach + 1) ** dim))
         for part in self._pieces():
             slot = self._slots(part, reach, compact)
             for k, i, values in self._pairs(moduli, part):
                 scatter_add(table[k, i], slot, values)
         return self._to_csc(table.reshape(dim, dim, len(known) + 1, -1)[:, :, :-1], reach, known, number, size)
+
+    def _known(self, number: ndarray) -> tuple[ndarray, ndarray]:
+        """Nodes with unknowns, and the column of each node in the table; all others share the last, dropped after."""
+        known = np.flatnonzero((number >= 0).any(axis=0))
+        compact = np.full(number.shape[1], len(known))
+        compact[known] = np.arange(len(known))
+        return known, compact
 
     def _pairs(self, moduli: ndarray, part: slice) -> Iterator[tuple[int, int, ndarray]]:
         """Contributions ``(nodes of force, nodes of strain, points)`` to column component k and row component i."""
@@ -197,11 +207,10 @@ class Pair:
         stride = np.cumprod([1, *self.force_functions.shape[:0:-1]])[::-1]
         step = (np.indices((span,) * dim).reshape(dim, -1) - reach).T @ stride
         row, column = number[i, known[node] + step[offset]], number[k, known[node]]
-        wanted = row >= 0
+        wanted = (row >= 0) & (column >= 0)
         count = np.bincount(column[wanted], minlength=size)
         return csc_array((value[kept[wanted]], row[wanted].astype(np.int32),
                           np.concatenate([[0], np.cumsum(count)]).astype(np.int32)), shape=(size, size))
-
 
 
 def on_points(kinematics: Kinematics, force: Stencil, strain: Stencil, volume: ndarray, radius: ndarray) -> Pair:
