@@ -137,8 +137,10 @@ class Step:
             raise ValueError("boundary: nothing is fixed and no wall holds the body; add a FixedPlane or a Wall where "
                              "it is.")
         stacked, targets = stack_rows(rows, self.support.transfer.shape[1]), np.array(values)
-        kept = independent_rows(stacked[:, np.flatnonzero(self.support.free)], targets)
-        return stacked[kept], targets[kept], [owner[row] for row in kept]
+        if not rows:
+            return stacked, targets, owner
+        kept, targets = independent_rows(stacked[:, np.flatnonzero(self.support.free)], targets, owner)
+        return stacked[kept], targets, [owner[row] for row in kept]
 
     def _weight(self, gravity: Any) -> ndarray:
         """Body force on the solved components."""
