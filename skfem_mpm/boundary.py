@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
-from .checks import OutsideGridError, check_array
+from .checks import OutsideGridError, check_array, check_positive
 from .grid import Grid
+from .particles.inputs import frozen
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,12 @@ class FixedPlane:
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """A displacement imposed where the wall truly is, on nodes or between them, by one multiplier per wall point.
+    r"""A displacement imposed where the wall truly is, on nodes or between them, by Lagrange multipliers.
+
+    Each wall point has a multiplier per component; or each segment has one, which holds the mean over its points:
+    :math:`\frac1n \sum_w \sum_I N_I(x_w) u_I = \frac1n \sum_w \bar u_w`.  Where a wall bends
+    in the step, linear functions cannot follow it from point to point, and points that are close make stress of that:
+    there segments want to be about half a cell to a cell long.  A wall that moves as one may have any.
 
     Wall points use linear functions whatever the method: those of their own cell where all its nodes are in play, else
     those of the nearest such cell, extrapolated.
@@ -110,14 +116,20 @@ class Wall:
     x
         ``(dim, n)``; wall points.
     increment
-        Displacement per load step, one number per component; ``None`` leaves a component free.
+        Displacement per load step.  One entry per component: a number, an array ``(n,)`` with one number per wall
+        point, or ``None``, which leaves the component free.
     name
         Under which name its reaction is reported.
+    segments
+        ``(n,)``; a whole number for each wall point.  Points with the same one form a segment.  Each point stands for
+        itself if not given.
 
     Raises
     ------
     OutsideGridError
         If a wall point leaves the grid.
+    TypeError, ValueError
+        If an argument is of the wrong type or shape, or not finite.
 
     Examples
     --------
@@ -127,39 +139,107 @@ class Wall:
     """
 
     x: ndarray
-    increment: Sequence[float | None]
+    increment: Sequence[float | ndarray | None]
     name: str = "wall"
+    segments: ndarray | None = None
 
     def __post_init__(self) -> None:
-        if not all(step is None or np.isfinite(step) for step in self.increment):
+        if not all(step is None or _varies(step) or np.isfinite(step) for step in self.increment):
             raise ValueError(f"increment: got {self.increment} for wall {self.name!r}, expected finite numbers, or "
                              "None for components that are free.")
-        x = check_array("wall", self.x, (len(self.increment), None)).copy()
-        x.flags.writeable = False
+        x = frozen(check_array("wall", self.x, (len(self.increment), None)))
+        label = f"increment of wall {self.name!r}"
+        increment = tuple(frozen(check_array(label, step, x.shape[1:])) if _varies(step) else step
+                          for step in self.increment)
         object.__setattr__(self, "x", x)
+        object.__setattr__(self, "increment", increment)
+        if self.segments is not None:
+            object.__setattr__(self, "segments", self._labels(np.array(self.segments)))
+
+    def _labels(self, labels: ndarray) -> ndarray:
+        """The labels of segments, checked and read-only."""
+        if labels.dtype.kind not in "iu":
+            raise TypeError(f"segments: got an array of {labels.dtype} for wall {self.name!r}, expected integers, one "
+                            "for each wall point.")
+        if labels.shape != self.x.shape[1:]:
+            raise ValueError(f"segments: got shape {labels.shape} for wall {self.name!r}, expected "
+                             f"{self.x.shape[1:]}, one label for each wall point.")
+        labels.flags.writeable = False
+        return labels
+
+    @classmethod
+    def along(cls, curve: ndarray, increment: Sequence[float | None] | Callable[[ndarray], Any], size: float,
+              name: str = "wall", samples: int = 8) -> Wall:
+        """A wall along a curve in the plane, held by the means over equal segments.
+
+        Parameters
+        ----------
+        curve
+            ``(2, m)``; corners of a polyline.
+        increment
+            As for a wall; or a function of the wall points ``(2, n)`` that gives an array ``(n,)`` or ``None`` for
+            each component.
+        size
+            About how long a segment is; half the size of a cell is a good one.
+        name
+            Under which name its reaction is reported.
+        samples
+            Wall points per segment.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an argument is of the wrong type or shape, not finite, or not above zero, or the curve has no length.
+
+        Examples
+        --------
+        >>> wall = Wall.along(np.array([[0.0, 1.0], [0.0, 0.0]]), (None, -0.01), size=0.25, samples=2)
+        >>> wall.x[0].tolist(), wall.segments.tolist()
+        ([0.0625, 0.1875, 0.3125, 0.4375, 0.5625, 0.6875, 0.8125, 0.9375], [0, 0, 1, 1, 2, 2, 3, 3])
+        """
+        curve = check_array("curve", curve, (2, None))
+        way = np.append(0.0, np.cumsum(np.hypot(*np.diff(curve))))
+        for label, value in [("size", size), ("samples", samples), ("curve (its length)", way[-1])]:
+            check_positive(label, value)
+        labels = np.repeat(np.arange(max(round(way[-1] / size), 1)), samples)
+        place = way[-1] * (np.arange(len(labels)) + 0.5) / len(labels)
+        x = np.stack([np.interp(place, way, row) for row in curve])
+        return cls(x, increment(x) if callable(increment) else increment, name, labels)
 
     def advanced(self, share: float) -> Wall:
         """The wall after a share of a load step."""
-        return replace(self, x=self.x + share * np.array([[step or 0.0] for step in self.increment]))
+        moved = [row if step is None else row + share * step for row, step in zip(self.x, self.increment)]
+        return replace(self, x=np.stack(moved))
 
     def rows(self, support: Any, share: float) -> tuple[list[Any], list[float], list[int]]:
         """Constraint rows over the solved components, their right-hand sides, and the component of each."""
-        grid = support.grid
-        cell = self._cells(support)
-        corners = np.indices((2,) * grid.dim).reshape(grid.dim, -1)
+        nodes, value = self._functions(support)
         rows, values, components = [], [], []
-        for p in range(self.x.shape[1]):
-            low = np.array([grid.axes[k][cell[k, p]] for k in range(grid.dim)])
-            step = np.array([grid.steps[k][cell[k, p]] for k in range(grid.dim)])
-            t = (self.x[:, p] - low) / step
-            value = np.prod(np.where(corners, t[:, None], 1 - t[:, None]), axis=0)
-            nodes = np.ravel_multi_index(tuple(cell[:, p, None] + corners), grid.vertices.shape)
-            for component, wanted in enumerate(self.increment):
-                if wanted is not None:
-                    rows.append(support.row(nodes, value, component))
-                    values.append(share * wanted)
+        for points in self._groups():
+            for component, step in enumerate(self.increment):
+                if step is not None:
+                    rows.append(support.row(nodes[:, points].ravel(), value[:, points].ravel() / len(points),
+                                            component))
+                    values.append(share * (step[points].mean() if isinstance(step, ndarray) else step))
                     components.append(component)
         return rows, values, components
+
+    def _groups(self) -> list[ndarray]:
+        """The points of each segment."""
+        points = np.arange(self.x.shape[1])
+        if self.segments is None:
+            return list(points[:, None])
+        return [points[self.segments == label] for label in np.unique(self.segments)]
+
+    def _functions(self, support: Any) -> tuple[ndarray, ndarray]:
+        """Nodes that wall points read and the linear functions there, both ``(2**dim, n)``."""
+        grid, cell = support.grid, self._cells(support)
+        corners = np.indices((2,) * grid.dim).reshape(grid.dim, -1, 1)
+        low = np.stack([grid.axes[k][cell[k]] for k in range(grid.dim)])
+        step = np.stack([grid.steps[k][cell[k]] for k in range(grid.dim)])
+        t = ((self.x - low) / step)[:, None]
+        nodes = np.ravel_multi_index(tuple(cell[:, None] + corners), grid.vertices.shape)
+        return nodes, np.prod(np.where(corners, t, 1 - t), axis=0)
 
     def _cells(self, support: Any) -> ndarray:
         """The cell whose functions each wall point uses."""
@@ -187,3 +267,8 @@ class Wall:
             place = ", ".join(f"{value:g}" for value in self.x[:, point])
             raise ValueError(f"wall {self.name!r}: got point {point} at ({place}), more than a cell away from the "
                              "body; expected a wall that touches the body.")
+
+
+def _varies(step: Any) -> bool:
+    """Whether an increment differs from wall point to wall point."""
+    return step is not None and np.ndim(step) > 0

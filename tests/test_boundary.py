@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.sparse import csr_array
 from skfem import MeshHex, MeshLine, MeshQuad
 
 from skfem_mpm import (
@@ -18,6 +19,7 @@ from skfem_mpm import (
 )
 from skfem_mpm.boundary import FixedPlane, Wall
 from skfem_mpm.grid import Grid
+from skfem_mpm.implicit.solve import independent_rows
 from skfem_mpm.scenes import cylinder
 from skfem_mpm.support import Support
 
@@ -335,3 +337,123 @@ def test_a_body_thinner_than_a_cell_is_refused():
     body = Particles(np.array([[0.5]]), np.array([0.1]), np.array([1.0]), uniaxial)
     with pytest.raises(ValueError, match="particles: got points that read the node at .*body that spans a cell"):
         next(implicit_steps(MeshLine(np.linspace(0, 1, 9)), body, LAW, [Wall(np.array([[0.47]]), (0.01,))], steps=1))
+
+
+# Walls that bend, and means over segments.
+
+def quarter(count):
+    angle = np.linspace(0, np.pi / 2, count)
+    return 0.6 * np.stack([np.cos(angle), np.sin(angle)])
+
+
+def outwards(x):
+    return 0.01 * x / np.hypot(*x)
+
+
+@pytest.mark.parametrize("empty", [False, True])
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_a_segment_takes_the_mean_of_the_rows_and_values_of_its_points(dim, empty):
+    support, _ = support_of("mpm", dim, empty)
+    random = np.random.default_rng(3)
+    n = WALLS[dim].shape[1]
+    increment, labels = list(random.uniform(-1, 1, (dim, n))), random.permutation(np.arange(n) % 3) - 1
+    single, means = Wall(WALLS[dim], increment), Wall(WALLS[dim], increment, segments=labels)
+    rows, values, _ = single.rows(support, share=0.5)
+    mean_rows, mean_values, components = means.rows(support, share=0.5)
+    assert components == list(range(dim)) * 3
+    assert_allclose(values, 0.5 * np.array(increment).T.ravel())
+    dense = np.stack([row.toarray()[0] for row in rows]).reshape(n, dim, -1)
+    found = np.stack([row.toarray()[0] for row in mean_rows]).reshape(3, dim, -1)
+    for segment in range(3):
+        inside = labels == segment - 1
+        assert_allclose(found[segment], dense[inside].mean(axis=0), atol=1e-14)
+        assert_allclose(np.reshape(mean_values, (3, dim))[segment],
+                        np.reshape(values, (n, dim))[inside].mean(axis=0))
+
+
+def test_one_number_is_the_same_as_that_number_for_every_point():
+    support, _ = support_of("mpm", 2, empty=False)
+    n = WALLS[2].shape[1]
+    for segments in (None, np.arange(n) // 2):
+        given = [Wall(WALLS[2], (step, None), segments=segments) for step in (0.3, np.full(n, 0.3))]
+        (rows, values, components), (others, same, names) = (wall.rows(support, share=1.0) for wall in given)
+        assert_allclose(values, same, rtol=1e-15)
+        assert components == names
+        assert_allclose(*(np.stack([row.toarray()[0] for row in each]) for each in (rows, others)))
+        assert_allclose(given[0].advanced(0.5).x, given[1].advanced(0.5).x)
+
+
+def test_a_wall_keeps_segments_and_increments_on_its_way():
+    wall = Wall.along(quarter(100), outwards, size=0.1, name="inner")
+    half = wall.advanced(0.25).advanced(0.25)
+    assert_allclose(np.hypot(*half.x), np.hypot(*wall.x) + 0.005, rtol=1e-12)
+    assert_array_equal(half.segments, wall.segments)
+    assert_array_equal(half.increment, wall.increment)
+    assert half.name == "inner"
+
+
+@pytest.mark.parametrize("size, samples", [(0.1, 8), (0.3, 1), (10.0, 5)])
+def test_a_wall_along_a_curve_has_equal_segments(size, samples):
+    curve = np.array([[0.0, 0.5, 0.5], [0.0, 0.0, 1.0]])
+    wall = Wall.along(curve, (None, 0.1), size=size, samples=samples)
+    count = max(round(1.5 / size), 1)
+    assert_array_equal(np.bincount(wall.segments), [samples] * count)
+    way = wall.x.sum(axis=0)                        # along this curve
+    assert_allclose(way, 1.5 * (np.arange(count * samples) + 0.5) / (count * samples))
+    assert wall.increment == (None, 0.1)
+
+
+@pytest.mark.parametrize("changes, error, match", [
+    (dict(increment=(np.zeros(3), 0.0)), ValueError, r"^increment of wall 'wall': got shape \(3,\), expected \(4,\)"),
+    (dict(increment=(np.array([0.0, np.nan, 0, 0]), None)), ValueError, "^increment of wall 'wall': got nan"),
+    (dict(increment=(np.arange(4), None)), TypeError, "^increment of wall 'wall': got an array of int64"),
+    (dict(segments=np.arange(3)), ValueError, r"^segments: got shape \(3,\) for wall 'wall', expected \(4,\)"),
+    (dict(segments=np.zeros(4)), TypeError, "^segments: got an array of float64 for wall 'wall', expected integers"),
+])
+def test_segments_and_increments_that_do_not_fit_are_refused(changes, error, match):
+    with pytest.raises(error, match=match):
+        Wall(**{"x": np.zeros((2, 4)), "increment": (0.0, 0.0), **changes})
+
+
+@pytest.mark.parametrize("curve, size, match", [
+    (np.zeros((2, 3)), 0.1, r"curve \(its length\)"), (np.zeros((3, 2)), 0.1, "^curve: got shape"),
+    (np.eye(2), 0.0, "^size")])
+def test_curves_without_length_are_refused(curve, size, match):
+    with pytest.raises(ValueError, match=match):
+        Wall.along(curve, (0.0, 0.0), size=size)
+
+
+def test_nobody_moves_a_bending_wall_behind_its_back():
+    step, labels = np.zeros(4), np.arange(4)
+    wall = Wall(np.zeros((2, 4)), (step, None), segments=labels)
+    step += 1
+    labels += 1
+    assert not wall.increment[0].any() and wall.segments[0] == 0
+    for array in (wall.increment[0], wall.segments, wall.advanced(1.0).increment[0]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@pytest.mark.parametrize("size, samples", [(0.125, 8), (0.03, 3), (0.01, 1)])
+def test_a_bending_wall_does_not_contradict_itself(size, samples):
+    """However many rows it has, up to ten times what the grid can obey: a hole in a plate that is pushed open."""
+    mesh, body = boxed(2)
+    body = body.where(np.hypot(*body.x) > 0.6)
+    wall = Wall.along(quarter(500), outwards, size=size, samples=samples, name="hole")
+    boundary = [wall, FixedPlane(0, 0.0, -1, name="left"), FixedPlane(1, 0.0, -1, name="base")]
+    state = next(implicit_steps(mesh, body, LAW, boundary, steps=1, method="gimp"))
+    push = state.reactions["hole"]
+    assert push[0] > 0 and push[0] == pytest.approx(push[1], rel=0.02)          # the diagonal mirrors the scene
+    assert_allclose(push + state.reactions["left"] + state.reactions["base"], 0, atol=1e-8 * push[0])
+
+
+def test_best_values_are_those_of_least_squares():
+    """Three rows on two unknowns, the third being the sum of the others."""
+    rows, values = csr_array(np.array([[1.0, 0], [0, 1], [1, 1]])), np.array([1.0, 1.0, 2.06])
+    kept, fitted = independent_rows(rows, values, ["wall"] * 3)
+    best = np.linalg.lstsq(rows.toarray(), values, rcond=None)[0]
+    assert_allclose(rows[kept] @ best, fitted, rtol=1e-12)
+    with pytest.raises(ValueError, match="wall: got a displacement of .* where other walls and planes allow only"):
+        independent_rows(rows, values, ["left", "left", "right"])       # two walls that move as one each
+    with pytest.raises(ValueError, match="wall: got a displacement of"):
+        independent_rows(rows, np.array([1.0, 1.0, 3.0]), ["wall"] * 3)

@@ -302,6 +302,60 @@ def test_an_unreadable_file_does_not_end_the_program(tmp_path, name):
         Particles.from_meshio(tmp_path / name, plane_strain)
 
 
+# Domains as parallelograms.
+
+def turned(mesh, degrees=20.0):
+    """The mesh turned in the plane of its first two axes, and the matrix that did it."""
+    turn = np.eye(mesh.dim())
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    turn[:2, :2] = [[c, -s], [s, c]]
+    return type(mesh)(turn @ mesh.p, mesh.t), turn
+
+
+@pytest.mark.parametrize("mesh, kinematics", BODIES[:len(STRAIGHT)], ids=names(BODIES[:len(STRAIGHT)]))
+def test_boxes_along_the_axes_and_simplices_have_no_spans(mesh, kinematics):
+    assert Particles.fill(mesh, kinematics).spans is None
+
+
+@pytest.mark.parametrize("per_cell", [1, 2, 3])
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("mesh, kinematics", [(distorted(QUAD), plane_strain), (distorted(HEX), solid)])
+def test_spans_are_as_large_as_the_points(mesh, kinematics, rule, per_cell):
+    particles = Particles.fill(mesh, kinematics, per_cell=per_cell, rule=rule)
+    assert_allclose(np.linalg.det(particles.spans.transpose(2, 0, 1)), particles.volume, rtol=1e-12)
+    assert Particles.fill(mesh, kinematics, per_cell=per_cell, where=lambda x: x[0] > 1.5).spans.shape[2] < particles.n
+
+
+def test_spans_are_areas_in_axial_symmetry_too():
+    ring, flat = (Particles.fill(distorted(QUAD), kinematics) for kinematics in (axisymmetric, plane_strain))
+    assert_allclose(ring.spans, flat.spans, rtol=1e-14)
+
+
+@pytest.mark.parametrize("per_cell", [1, 2, 3])
+@pytest.mark.parametrize("mesh, kinematics", [(QUAD, plane_strain), (HEX, solid)])
+def test_parallelograms_of_a_turned_body_tile_it(mesh, kinematics, per_cell):
+    """They are the boxes of the body as it was, turned with it: edge for edge, whatever order and sense edges have."""
+    straight, (body, turn) = Particles.fill(mesh, kinematics, per_cell=per_cell), turned(mesh)
+    particles = Particles.fill(body, kinematics, per_cell=per_cell)
+    assert_allclose(particles.x, turn @ straight.x, atol=1e-14)
+    back = np.abs(np.einsum("ki,kjn->ijn", turn, particles.spans))
+    assert_allclose(back.sum(axis=1), straight.length, rtol=1e-12)      # one edge along each axis, of the box's length
+    assert_allclose(back.max(axis=1), straight.length, rtol=1e-12)
+
+
+def test_spans_point_along_the_cells_of_a_polar_mesh():
+    mesh = MeshQuad.init_tensor(np.linspace(1, 2, 5), np.linspace(0, np.pi / 2, 9))
+    polar = MeshQuad(mesh.p[0] * np.stack([np.cos(mesh.p[1]), np.sin(mesh.p[1])]), mesh.t)
+    particles = Particles.fill(polar, plane_strain)
+    radius = np.hypot(*particles.x)
+    size = np.linalg.norm(particles.spans, axis=0)
+    across = np.abs(np.einsum("in,ijn->jn", particles.x / radius, particles.spans)) / size
+    assert ((across > 0.99) | (across < 0.1)).all() and (across.max(axis=0) > 0.99).all()
+    radial = across.argmax(axis=0)
+    assert_allclose(size[radial, np.arange(particles.n)], 1 / 8, rtol=0.01)
+    assert_allclose(size[1 - radial, np.arange(particles.n)], radius * np.pi / 32, rtol=0.01)
+
+
 # Holding.
 
 def test_arrays_holds_nothing_but_what_is_there():

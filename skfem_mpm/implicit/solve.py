@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -19,30 +19,55 @@ ACCURACY = 1e-12    # of iterative solvers: residual relative to the right-hand 
 PATIENCE = 40       # iterations after which it is better to factorise
 SMALL = 2000        # unknowns up to which it is quicker to factorise each time
 
+BEND = 0.1    # how far walls that bend may be missed, as a share of the range of their displacement
 
-def independent_rows(rows: csr_array, values: ndarray) -> ndarray:
-    """Which constraint rows to keep, in order: walls may have more points than the grid has nodes to obey them.
+
+def independent_rows(rows: csr_array, values: ndarray, owner: Sequence[Any]) -> tuple[ndarray, ndarray]:
+    """Which constraint rows to keep, in order, and their values: walls may ask for more than the grid can obey.
+
+    A rigid wall agrees with itself, whatever rows others imply.  One that bends in the step may not: linear functions
+    cannot follow it to the last digit.  Rows that are kept then take the values that fit all rows best, in the sense of
+    least squares.
+
+    Parameters
+    ----------
+    rows, values
+        Constraints ``rows u = values``.
+    owner
+        Whose each row is; rows of one owner that ask for different values bend.
 
     Raises
     ------
     ValueError
-        If a row that the others imply asks for another value.
+        If the best fit misses a value by more than a tenth of the range of values of its owner.
     """
-    count = len(values)
-    if not count:
-        return np.arange(0)
     columns = np.unique(rows.indices)
     dense = rows[:, columns].toarray().T
     triangle, order = qr(dense, mode="r", pivoting=True)
     size = np.abs(np.diagonal(triangle))
     kept = np.sort(order[:int((size > 1e-8).sum())])
-    found = np.linalg.lstsq(dense[:, kept].T, values[kept], rcond=None)[0] @ dense if len(kept) else np.zeros(count)
-    wrong = np.abs(found - values) > 1e-8 * np.abs(values).max(initial=0.0)
+    if len(kept) == len(values):
+        return kept, values
+    implied = np.setdiff1d(np.arange(len(values)), kept)
+    share = np.eye(len(values))[:, kept]
+    share[implied] = np.linalg.lstsq(dense[:, kept], dense[:, implied], rcond=None)[0].T
+    fitted = np.linalg.lstsq(share, values, rcond=None)[0]
+    found = share @ fitted
+    slack = 1e-8 * np.abs(values).max() + BEND * _ranges(values, owner)
+    wrong = np.abs(found - values) > slack
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
         raise ValueError(f"wall: got a displacement of {values[row]:g} where other walls and planes allow only "
                          f"{found[row]:g}; expected walls that agree with each other and with the planes.")
-    return kept
+    return kept, fitted
+
+
+def _ranges(values: ndarray, owner: Sequence[Any]) -> ndarray:
+    """Largest less smallest value of the owner of each row."""
+    held: dict[Any, list[float]] = {}
+    for who, value in zip(owner, values):
+        held.setdefault(who, []).append(value)
+    return np.array([np.ptp(held[who]) for who in owner])
 
 
 def bordered(stiffness: csr_array, rows: csr_array, free: ndarray,

@@ -163,7 +163,8 @@ class Step:
         if not size > 0:
             raise ValueError("control: got no load to scale; give gravity that acts on nodes which are not fixed.")
         bordered = stack_rows([rows, control.row(self.support)], len(free))
-        if len(independent_rows(bordered[:, np.flatnonzero(free)], np.zeros(len(values) + 1))) == len(values):
+        owners = [*owner, None]
+        if len(independent_rows(bordered[:, np.flatnonzero(free)], np.zeros(len(owners)), owners)[0]) == len(values):
             raise ValueError(f"control: got the place {control.x.tolist()}, which walls and planes do not let move "
                              f"along {control.direction.tolist()}; choose another place or direction.")
         columns = hstack([rows.T, csr_array(-load[:, None] / size)], format="csr")
@@ -209,8 +210,10 @@ class Step:
             raise ValueError("boundary: nothing is fixed and no wall holds the body; add a FixedPlane or a Wall where "
                              "it is.")
         stacked, targets = stack_rows(rows, self.support.transfer.shape[1]), np.array(values)
-        kept = independent_rows(stacked[:, np.flatnonzero(self.support.free)], targets)
-        return stacked[kept], targets[kept], [owner[row] for row in kept]
+        if not rows:
+            return stacked, targets, owner
+        kept, targets = independent_rows(stacked[:, np.flatnonzero(self.support.free)], targets, owner)
+        return stacked[kept], targets, [owner[row] for row in kept]
 
     def _weight(self, gravity: Any) -> ndarray:
         """Body force on the solved components."""

@@ -26,8 +26,8 @@ Rule = tuple[ndarray, list[tuple[ndarray, ndarray]]]
 
 
 def points_of_cells(mesh: Mesh, kinematics: Kinematics, density: float | ndarray, per_cell: int, rule: str,
-                    where: Callable[[ndarray], ndarray] | None) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-    """Positions ``(dim, n)``, volumes, masses and edges of the domains ``(dim, n)`` as ``Particles.fill`` promises."""
+                    where: Callable[[ndarray], ndarray] | None) -> dict[str, Any]:
+    """Positions, volumes, masses and domains (``length`` and ``spans``) as ``Particles.fill`` promises."""
     _check_mesh(mesh, kinematics)
     points, parts = _rule(mesh.elem, per_cell, rule)
     corners = mesh.p[:, mesh.t]
@@ -36,9 +36,10 @@ def points_of_cells(mesh: Mesh, kinematics: Kinematics, density: float | ndarray
     cells = np.flatnonzero(keep.any(axis=1))
     x, keep, corners = x[:, keep], keep[cells], corners[:, :, cells]
     area, volume = _measure(mesh.elem, corners, parts, kinematics.hoop, cells)
-    length = _length(corners, area, per_cell)[:, keep]
+    length, spans = _length(corners, area, per_cell)[:, keep], _spans(mesh.elem, corners, points, area, keep)
     volume = volume[keep]
-    return x, volume, _density(density, len(volume)) * volume, length
+    mass = _density(density, len(volume)) * volume
+    return {"x": x, "volume": volume, "mass": mass, "length": length, "spans": spans}
 
 
 def _check_mesh(mesh: Any, kinematics: Any) -> None:
@@ -156,10 +157,15 @@ def _positions(elem: type[Element], corners: ndarray, points: ndarray) -> ndarra
     return first + np.einsum("ivc,vq->icq", corners - corners[:, :1], value)
 
 
+def _jacobian(elem: type[Element], corners: ndarray, points: ndarray) -> ndarray:
+    """Jacobians ``(cells, q, dim, dim)`` at reference points."""
+    slope = np.array([elem().lbasis(points, i)[1] for i in range(corners.shape[1])])
+    return np.einsum("ivc,vjq->cqij", corners - corners[:, :1], slope)
+
+
 def _determinant(elem: type[Element], corners: ndarray, points: ndarray) -> ndarray:
     """Jacobian determinants ``(cells, q)`` at reference points."""
-    slope = np.array([elem().lbasis(points, i)[1] for i in range(corners.shape[1])])
-    return np.linalg.det(np.einsum("ivc,vjq->cqij", corners - corners[:, :1], slope))
+    return np.linalg.det(_jacobian(elem, corners, points))
 
 
 def _measure(elem: type[Element], corners: ndarray, parts: list[tuple[ndarray, ndarray]], hoop: bool,
@@ -189,9 +195,24 @@ def _check_axis(radius: ndarray, cells: ndarray) -> None:
                          "end the mesh at the axis, or leave such cells out with where=.")
 
 
+def _boxes(corners: ndarray, area: ndarray) -> ndarray:
+    """Which cells are boxes along the axes."""
+    return np.isclose(area.sum(axis=1), np.ptp(corners, axis=1).prod(axis=0), rtol=1e-8, atol=0)
+
+
 def _length(corners: ndarray, area: ndarray, per_cell: int) -> ndarray:
     """Edges ``(dim, cells, q)`` of the points' domains."""
     dim = len(corners)
-    edges = np.ptp(corners, axis=1)
-    box = np.isclose(area.sum(axis=1), edges.prod(axis=0), rtol=1e-8, atol=0)
-    return np.where(box[:, None], edges[:, :, None] / per_cell, area ** (1 / dim))
+    box = _boxes(corners, area)
+    return np.where(box[:, None], np.ptp(corners, axis=1)[:, :, None] / per_cell, area ** (1 / dim))
+
+
+def _spans(elem: type[Element], corners: ndarray, points: ndarray, area: ndarray, keep: ndarray) -> ndarray | None:
+    """Edges ``(dim, dim, n)`` of parallelograms of the points' areas, along the cells; None where boxes are enough."""
+    if elem not in TENSOR or _boxes(corners, area).all():
+        return None
+    spans = _jacobian(elem, corners, points)[keep]
+    measure = np.linalg.det(spans)
+    spans *= (area[keep] / np.abs(measure))[:, None, None] ** (1 / len(corners))
+    spans[:, :, 0] *= np.sign(measure)[:, None]              # an edge may point either way
+    return spans.transpose(1, 2, 0)

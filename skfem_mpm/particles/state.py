@@ -231,7 +231,8 @@ class Particles:
         -------
         Particles
             With ``length``: in boxes along the axes the cell's edges over ``per_cell``, in other cells the edge of the
-            cube of the point's area or volume.
+            cube of the point's area or volume.  Quads and hexes that are not all such boxes have ``spans`` too: the
+            columns of the Jacobian at the points, scaled to the points' areas.
 
         Raises
         ------
@@ -250,8 +251,7 @@ class Particles:
         >>> ring.x.tolist(), ring.volume.sum().item()      # (1.5**2 - 1) / 2 per radian
         ([[1.25, 1.25], [0.25, 0.75]], 0.625)
         """
-        x, volume, mass, length = points_of_cells(mesh, kinematics, density, per_cell, rule, where)
-        return cls(x, volume, mass, kinematics, length)
+        return cls(kinematics=kinematics, **points_of_cells(mesh, kinematics, density, per_cell, rule, where))
 
     @classmethod
     def from_meshio(cls, body: meshio.Mesh | str | PathLike, kinematics: Kinematics, density: float | ndarray = 1.0,

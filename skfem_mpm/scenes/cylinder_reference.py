@@ -1,4 +1,4 @@
-"""What a thick-walled cylinder does when its inner wall is pushed outwards: three references, none of them with points.
+"""What a thick-walled cylinder does when its inner wall is pushed outwards: its references, none of them with points.
 
 Plane strain along the axis, outer face fixed, elastic.  :func:`lame` is the closed form for small displacements,
 :func:`incremental` adds it up step by step on the moving geometry, and :func:`finite` is in equilibrium in the deformed
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from ..checks import NotConvergedError, check_array, check_choice, check_positive
 
@@ -244,6 +245,34 @@ def finite_history(R: ndarray, E: float, nu: float, inner: float, outer: float, 
     return _drop_wall(R * np.exp(y), _finite_stress(y, w, E, nu, measure))
 
 
+def finite_free(R: ndarray, E: float, nu: float, inner: float, outer: float, displacement: float,
+                measure: str = "kirchhoff") -> CylinderState:
+    r"""The cylinder of :func:`finite` with a free outer face: :math:`\sigma_r(r_e) = 0`.
+
+    Parameters, results and exceptions are those of :func:`finite`.
+
+    Examples
+    --------
+    >>> state = finite_free(np.array([1.0, 2.0]), 25e6, 0.3, inner=1.0, outer=2.0, displacement=0.5)
+    >>> print(state.position.round(4), abs(state.stress[0, 1]) < 1e-3)
+    [1.5    2.3604] True
+    """
+    check_choice("measure", measure, MEASURES)
+    _check_cylinder(E, nu, inner, outer, displacement)
+    if displacement < 0:
+        raise ValueError(f"displacement: got {displacement}, expected zero or more; finite_free pushes outwards.")
+    R = np.append(_check_radii("R", R, inner, outer).clip(inner, outer), inner)
+    slope, span, wall = _slope(nu, measure), np.log(outer / inner), np.log1p(displacement / inner)
+
+    def from_face(y: float, dense: bool = False) -> Any:
+        return _shoot(slope, np.array([-y / (1 - nu)]), span, dense, np.array([y]))    # radial stress is zero there
+
+    face = brentq(lambda y: from_face(y).y[0, -1] - wall, 0.0, wall, xtol=1e-15, rtol=1e-14) if wall else 0.0
+    y, w = from_face(face, dense=True).sol(np.log(outer / R))
+    found = _drop_wall(R * np.exp(y)[None], _finite_stress(y, w, E, nu, measure)[:, None])
+    return CylinderState(found.position[0], found.stress[:, 0], found.pressure[0], found.reaction[0])
+
+
 def deviatoric(stress: ndarray) -> ndarray:
     r"""Deviatoric stress :math:`q = \sqrt{3 J_2}` of packed stress, shear included.
 
@@ -338,10 +367,10 @@ def _slope(nu: float, measure: str) -> Callable[[float, ndarray], ndarray]:
     return cauchy if measure == "cauchy" else kirchhoff
 
 
-def _shoot(slope: Callable, start: ndarray, span: float, dense: bool = False) -> Any:
-    """Integrate from the outer face, where y = 0 and w = ``start``, over ``span`` in s."""
+def _shoot(slope: Callable, start: ndarray, span: float, dense: bool = False, hoop: ndarray | float = 0.0) -> Any:
+    """Integrate from the outer face, where y = ``hoop`` and w = ``start``, over ``span`` in s."""
     # Dense output is of lower order than the steps, so it gets short ones.
-    result = solve_ivp(slope, (0.0, span), np.concatenate([0 * start, start]), method="DOP853", rtol=1e-13,
+    result = solve_ivp(slope, (0.0, span), np.concatenate([0 * start + hoop, start]), method="DOP853", rtol=1e-13,
                        atol=1e-14 * np.abs(np.tile(start, 2)) + 1e-200, dense_output=dense,
                        max_step=span / 24 if dense else np.inf)
     if not result.success:
