@@ -14,7 +14,7 @@ from ..basis import Method, find_method
 from ..checks import NotConvergedError, OutsideGridError, check_choice
 from ..grid import EDGES, Edges
 from ..integration import find_integration
-from ..kinematics import STRAINS
+from ..kinematics import DOMAINS, RADII, STRAINS
 from ..particles import Particles
 from ..weights import WEIGHTS
 from .solve import solve_direct
@@ -30,9 +30,9 @@ TANGENTS = ("exact", "conjugate")
 def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | State, material: Any,
                    boundary: Sequence[Any] | None = None, *, steps: int, method: str | Method = "mpm",
                    strain: str = "logarithmic", scheme: str = "equilibrated", weights: str = "one",
-                   integration: Any = "points", edges: Edges = "ghost", tangent: str | None = None,
-                   gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, tolerance: float = 1e-11,
-                   max_cuts: int = 6) -> Iterator[State]:
+                   integration: Any = "points", edges: Edges = "ghost", domains: str = "fixed", radius: str = "point",
+                   tangent: str | None = None, gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6,
+                   tolerance: float = 1e-11, max_cuts: int = 6) -> Iterator[State]:
     """Bring a body to equilibrium load step by load step; yields a :class:`State` after each.
 
     Parameters
@@ -60,6 +60,13 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         How point stress becomes nodal force: ``points``.
     edges
         What GIMP does at the edge of the grid: ``ghost``, ``truncate``, ``clip``.
+    domains
+        Boxes that GIMP averages over: ``fixed`` (edges stay as they are, as in the paper) or ``stretched`` (they follow
+        the stretch along the axes and the points' volume; one that outgrows the neighbours of its cell is seen cut off
+        there).
+    radius
+        In axial symmetry, what GIMP takes as the radius: that of the ``point`` (as in the paper), or the one under the
+        integral over its ``domain``.
     tangent
         ``exact`` derivative of the residual (default of ``equilibrated``), or ``conjugate``: the functions that carry
         force on both sides, as in the paper (default of ``incremental``).
@@ -98,6 +105,9 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     1 0.001
     """
     options = _check(method, strain, scheme, weights, integration, edges, tangent, floor, tolerance, solver)
+    for name, value, choices in [("domains", domains, DOMAINS), ("radius", radius, RADII)]:
+        check_choice(name, value, choices)
+    options = replace(options, domains=domains, radius=radius)
     for name, count, least in [("steps", steps, 1), ("max_cuts", max_cuts, 0)]:
         if not (isinstance(count, Integral) and count >= least):
             raise ValueError(f"{name}: got {count!r}, expected a whole number of at least {least}.")

@@ -101,3 +101,5 @@ class Options:
     floor: float
     tolerance: float
     solver: Solver
+    domains: str = "fixed"
+    radius: str = "point"
