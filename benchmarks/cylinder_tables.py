@@ -10,12 +10,12 @@ Uses the library alone, on the line version of the scene (dim=1), which is the s
 import argparse
 import platform
 import time
-from dataclasses import replace
 
 import numpy as np
 
 from skfem_mpm import METHODS, Hencky, NotConvergedError, support
 from skfem_mpm.grid import EDGES
+from skfem_mpm.kinematics import DOMAINS, RADII
 from skfem_mpm.scenes import cylinder
 from skfem_mpm.scenes.cylinder_reference import deviatoric, lame, reaction_lame
 from skfem_mpm.weights import WEIGHTS
@@ -195,36 +195,41 @@ def table_grid(quick):
 
 
 def table_domains(quick):
-    """Nodes solved for, by cells and by mass; domains of GIMP of fixed size, as in the library, or stretched."""
-    marks = [1, 5, 10] if quick else [1, 10, 20, 30, 40, 50]
-    rows, cutoff, corners = [], support.CUTOFF, support.Support._corners
+    """Domains of GIMP of fixed size or stretched, with the radius at the point or part of the means."""
+    marks, grids, rows = [1, 5, 10] if quick else [1, 10, 50], (20,) if quick else (20, 40, 80), []
+    for method in ("gimp", "gc"):
+        for cells, offset in [(cells, offset) for cells in grids for offset in (0, 0.37)]:
+            for radius in RADII:
+                found = []
+                for domains in DOMAINS:
+                    scene = cylinder(cells, dim=1, offset=offset)
+                    states = list(scene.run(method, steps=marks[-1], domains=domains, radius=radius))
+                    found += [percent(scene.error(states[n - 1])) for n in marks]
+                rows.append([method, cells, offset, radius, *found])
+    table("Domains of GIMP", ["method", "cells", "offset", "radius",
+                              *(f"{domains}, step {n}" for domains in DOMAINS for n in marks)], rows)
 
-    def every_node(self, cells):    # in place of those of occupied cells; both methods map by domains
-        return np.ones(self.grid.nnodes, dtype=bool) if cells is self.occupied else corners(self, cells)
+
+def table_solved(quick):
+    """Nodes solved for, by cells and by mass; domains of GIMP of fixed size or stretched."""
+    marks = [1, 5, 10] if quick else [1, 10, 20, 30, 40, 50]
+    rows, cutoff, corners = [], support.CUTOFF, support.corner_nodes
+
+    def every_node(cells):          # in place of those of occupied cells; both methods map by domains
+        return np.ones_like(corners(cells))
 
     for method in ("gimp", "gc"):
         for solved, chosen in [("of occupied cells", corners), ("all active", every_node)]:
             for share in (cutoff, 1e-2):
-                support.CUTOFF, support.Support._corners = share, chosen
-                for stretched in (False, True):
-                    found = domain_errors(method, marks[-1], stretched)
-                    rows.append([method, solved, f"{share:.0e}", "stretched" if stretched else "fixed",
+                support.CUTOFF, support.corner_nodes = share, chosen
+                for domains in DOMAINS:
+                    scene = cylinder(dim=1)
+                    found = [scene.error(state) for state in scene.run(method, steps=marks[-1], domains=domains)]
+                    rows.append([method, solved, f"{share:.0e}", domains,
                                  *(percent(found[n - 1]) for n in marks), percent(max(found))])
-    support.CUTOFF, support.Support._corners = cutoff, corners
+    support.CUTOFF, support.corner_nodes = cutoff, corners
     table("Solved nodes and domains of GIMP", ["method", "solved nodes", "active above", "domains",
                                                *(f"step {n}" for n in marks), "worst step"], rows)
-
-
-def domain_errors(method, steps, stretched):
-    """Error after each step; the points' domains are stretched with their radial strain, or keep their size."""
-    scene, state, found = cylinder(dim=1), None, []
-    for _ in range(steps):
-        state = next(scene.run(method, steps=1, start=state))
-        found.append(scene.error(state))
-        if stretched:
-            length = scene.particles.length * np.exp(state.particles.epsilon[:1])
-            state = replace(state, particles=replace(state.particles, length=length))
-    return found
 
 
 def table_law(quick):
@@ -242,7 +247,8 @@ def table_edges(quick):
 
 TABLES = {"one": table_one, "orders": table_orders, "reaction": table_reaction, "newton": table_newton,
           "references": table_references, "history": table_history, "incremental": table_incremental,
-          "floor": table_floor, "grid": table_grid, "law": table_law, "edges": table_edges, "domains": table_domains}
+          "floor": table_floor, "grid": table_grid, "law": table_law, "edges": table_edges, "domains": table_domains,
+          "solved": table_solved}
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--quick", action="store_true", help="fewer cells, positions and steps")

@@ -119,7 +119,7 @@ class Cover:
     def _pieces(self) -> tuple[ndarray, ndarray]:
         """Simplices ``(dim, dim + 1, m)`` of the domains near cut cells, each in one cell; and whose they are."""
         grid, points, dim = self.grid, self.particles, self.grid.dim
-        edges = domains(points)
+        edges = spans_of(points)
         reach = np.abs(edges).sum(axis=1) / 2
         width = np.array([step.min() for step in grid.steps])[:, None]
         near = ~self._full_mask()
@@ -184,7 +184,7 @@ class Cover:
         edges = self.pieces[:, 1:] - self.pieces[:, :1]
         area = np.abs(np.linalg.det(edges.transpose(2, 0, 1)))
         x = self.pieces[:, 0, :, None] + np.einsum("ijm,jg->img", edges, local)
-        owned = np.linalg.det(domains(points).transpose(2, 0, 1))
+        owned = np.linalg.det(spans_of(points).transpose(2, 0, 1))
         if points.kinematics.hoop:
             owned = owned * points.x[0]
         scale = (points.volume / owned)[self.owner]
@@ -192,7 +192,7 @@ class Cover:
         return unit, x.reshape(dim, -1), ((area * scale)[:, None] * share).ravel()
 
 
-def domains(points: Particles) -> ndarray:
+def spans_of(points: Particles) -> ndarray:
     """Edges of the domains ``(dim, dim, n)``.
 
     Raises

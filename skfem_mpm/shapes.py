@@ -60,10 +60,45 @@ def gimp(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True, right: Ma
     >>> value[:, 0].tolist()
     [0.0625, 0.875, 0.0625, 0.0]
     """
-    width = knots[1:] - knots[:-1]
     share, middle = pieces(x, half, knots, left, right)
-    tilt, second = share / width, share * middle             # of each piece: its slope, its part of either node
-    first = share - second
+    return _joined(share, share * middle, knots[1:] - knots[:-1])
+
+
+def ring_gimp(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True,
+              right: Mask = True) -> tuple[ndarray, ndarray, ndarray]:
+    r"""GIMP along a radius: means over a ring, where :math:`r` is part of the integral.
+
+    .. math:: S = \frac{\int N r\,dr}{\int r\,dr},\quad S' = \frac{\int N' r\,dr}{\int r\,dr},\quad
+              \bar S = \frac{\int N\,dr}{\int dr}
+
+    The hoop strain needs the mean of :math:`N/r` over the ring: that is :math:`\bar S` over the middle radius.
+
+    Returns
+    -------
+    value, slope, plain
+        ``(4, n)`` each: :math:`S`, :math:`S'`, :math:`\bar S`.
+
+    Examples
+    --------
+    >>> knots = np.array([[0.0], [1.0], [2.0], [3.0]])
+    >>> value, slope, plain = ring_gimp(np.array([1.5]), np.array([0.5]), knots)
+    >>> (18 * value[:, 0]).round(12).tolist(), plain[:, 0].tolist()
+    ([0.0, 8.0, 10.0, 0.0], [0.0, 0.5, 0.5, 0.0])
+    """
+    width = knots[1:] - knots[:-1]
+    length, middle = _cut(x, half, knots, left, right)
+    share = length / length.sum(axis=0)
+    radius = knots[:-1] + middle * width
+    whole = (share * radius).sum(axis=0)
+    weight = share * radius / whole
+    # In a piece the function and the radius are straight: their product is that in the middle, and a term of moment.
+    value, slope = _joined(weight, weight * middle + share * length ** 2 / (12 * width * whole), width)
+    return value, slope, _joined(share, share * middle, width)[0]
+
+
+def _joined(share: ndarray, second: ndarray, width: ndarray) -> tuple[ndarray, ndarray]:
+    """Value and slope at the four knots, from the share of each piece and the part of it that its second node takes."""
+    tilt, first = share / width, share - second
     value = np.stack([first[0], second[0] + first[1], second[1] + first[2], second[2]])
     return value, np.stack([-tilt[0], tilt[0] - tilt[1], tilt[1] - tilt[2], tilt[2]])
 
@@ -78,6 +113,12 @@ def pieces(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True, right: 
     middle
         ``(3, n)``; middle of each piece in local coordinates of its cell, from 0 to 1.
     """
+    length, middle = _cut(x, half, knots, left, right)
+    return length / length.sum(axis=0), middle
+
+
+def _cut(x: ndarray, half: ndarray, knots: ndarray, left: Mask, right: Mask) -> tuple[ndarray, ndarray]:
+    """Lengths of the three pieces, and their middles in local coordinates."""
     width = knots[1:] - knots[:-1]
     start, end = (x - knots[1]) - half, (x - knots[1]) + half        # measured from the host's first node
     length = np.stack([np.maximum(-start, 0) * left,
@@ -86,7 +127,7 @@ def pieces(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True, right: 
     middle = np.stack([1 + np.minimum(start, 0) / (2 * width[0]),
                        (np.minimum(end, width[1]) + np.maximum(start, 0)) / (2 * width[1]),
                        np.maximum(end - width[1], 0) / (2 * width[2])])
-    return length / length.sum(axis=0), middle
+    return length, middle
 
 
 def cmpm(x: ndarray, knots: ndarray, left: Mask = True, right: Mask = True) -> tuple[ndarray, ndarray]:

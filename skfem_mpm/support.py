@@ -20,6 +20,11 @@ CUTOFF = 1e-8    # a node is active if its lumped mass exceeds this share of the
 class Support:
     """What a step of a solver knows of its grid; made at its start and kept through its Newton passes.
 
+    Parameters
+    ----------
+    ring
+        Whether the radius is part of the means over domains.
+
     Attributes
     ----------
     grid
@@ -44,12 +49,13 @@ class Support:
     """
 
     def __init__(self, mesh: Any, particles: Particles, method: Method, edges: Edges, boundary: Sequence[Any],
-                 covers: bool = False):
+                 ring: bool = False, covers: bool = False):
         self.full = full = Grid.from_mesh(mesh)
         full.check_dim(particles.dim)
         self.method = method
         self.edges = edges
         self.particles = particles
+        self.ring = ring
         self.grid = full.window(full.locate(particles.x))
         self.index = self.grid.locate(particles.x)
         self.occupied = self.grid.occupied(self.index)
@@ -82,7 +88,8 @@ class Support:
         """
         if basis not in self._stencils:
             points, sides = self.particles, self.sides_of(basis)
-            self._stencils[basis] = basis.stencil_of(self.grid, points.x, self.index, points.length, self.edges, sides)
+            self._stencils[basis] = basis.stencil_of(self.grid, points.x, self.index, points.length, self.edges, sides,
+                                                     ring=self.ring)
         return self._stencils[basis]
 
     @property

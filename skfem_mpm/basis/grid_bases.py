@@ -71,12 +71,12 @@ class GIMPBasis(_OnGrid):
 
     @classmethod
     def stencil_of(cls, grid: Grid, x: ndarray, index: ndarray, length: ndarray | None = None, edges: Edges = "ghost",
-                   sides: ndarray | None = None) -> Stencil:
-        """Stencil of GIMP; ``sides`` clips the domains to available cells."""
+                   sides: ndarray | None = None, ring: bool = False) -> Stencil:
+        """Stencil of GIMP; ``sides`` clips the domains to available cells, ``ring`` puts the radius into the mean."""
         if length is None:
             raise ValueError("length: the points have none, but GIMP averages over domains; give Particles a length "
                              "(dim, n).")
-        return grid.gimp(x, index, length, edges, sides)
+        return grid.gimp(x, index, length, edges, sides, ring)
 
     def _options(self) -> dict[str, Any]:
         return {"edges": self.edges}
@@ -128,7 +128,7 @@ class CMPMBasis(_OnGrid):
 
     @classmethod
     def stencil_of(cls, grid: Grid, x: ndarray, index: ndarray, length: ndarray | None = None, edges: Edges = "ghost",
-                   sides: ndarray | None = None) -> Stencil:
+                   sides: ndarray | None = None, ring: bool = False) -> Stencil:
         """Stencil of CMPM; ``sides`` tells which neighbours its patches reach into (by occupied cells if not given)."""
         return grid.cmpm(x, index, available_sides(grid.occupied(index)) if sides is None else sides)
 
@@ -155,6 +155,6 @@ class CubicBasis(CMPMBasis):
 
     @classmethod
     def stencil_of(cls, grid: Grid, x: ndarray, index: ndarray, length: ndarray | None = None, edges: Edges = "ghost",
-                   sides: ndarray | None = None) -> Stencil:
+                   sides: ndarray | None = None, ring: bool = False) -> Stencil:
         """Stencil of CMPM with cubic patches; see :meth:`CMPMBasis.stencil_of`."""
         return grid.cubic(x, index, available_sides(grid.occupied(index)) if sides is None else sides)

@@ -103,7 +103,7 @@ class ParticleBasis(CellBasis):
 
     @classmethod
     def stencil_of(cls, grid: Grid, x: ndarray, index: ndarray, length: ndarray | None = None, edges: Edges = "ghost",
-                   sides: ndarray | None = None) -> Stencil:
+                   sides: ndarray | None = None, ring: bool = False) -> Stencil:
         """Stencil of this basis for points ``x`` in the cells ``index`` of a grid: all that a solver needs of it."""
         return grid.linear(x, index)
 

@@ -14,7 +14,7 @@ from skfem import Mesh
 from ..basis import Method, find_method
 from ..checks import ENGINES, check_array, check_choice
 from ..grid import EDGES, Edges
-from ..kinematics import RATES
+from ..kinematics import DOMAINS, RADII, RATES
 from ..particles import Particles
 from .engine import make_run
 from .run import Run
@@ -32,10 +32,11 @@ NUMBER: Any = Real
 def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
                    boundary: Sequence[Any] | None = None, *, steps: int, every: int = 1,
                    every_seconds: float | None = None, method: str | Method = "mpm", strain: str = "small",
-                   integrator: str = "musl", edges: Edges = "ghost", flip: float = 1.0, xpic: int = 0,
-                   tpic: bool = False, remedy: str = "none", damping: float = 0.0, gravity: Any = None,
-                   ramp: float = 0.0, dt: float | None = None, safety: float = 0.5, refresh: int | None = None,
-                   leaving: str = "error", engine: str = "auto", threads: int = 1) -> Iterator[ExplicitState]:
+                   integrator: str = "musl", edges: Edges = "ghost", domains: str = "fixed",
+                   radius: str = "point", flip: float = 1.0, xpic: int = 0, tpic: bool = False,
+                   remedy: str = "none", damping: float = 0.0, gravity: Any = None, ramp: float = 0.0,
+                   dt: float | None = None, safety: float = 0.5, refresh: int | None = None, leaving: str = "error",
+                   engine: str = "auto", threads: int = 1) -> Iterator[ExplicitState]:
     """Move a body in time; yields an :class:`ExplicitState` every ``every`` steps and after the last one.
 
     Parameters
@@ -60,6 +61,12 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
         When stress is updated: ``musl`` (last, from velocities mapped anew), ``usl`` (last), ``usf`` (first).
     edges
         What GIMP does at the edge of the grid: ``ghost``, ``truncate``, ``clip``.
+    domains
+        Boxes that GIMP averages over: ``fixed`` (edges stay as they are) or ``stretched`` (they follow the stretch
+        along the axes and the points' volume; one that outgrows the neighbours of its cell is seen cut off there).
+    radius
+        In axial symmetry, what GIMP takes as the radius: that of the ``point``, or the one under the integral over its
+        ``domain``.
     flip
         Share of FLIP in the velocity update, the rest is PIC.
     xpic
@@ -121,7 +128,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     """
     method = find_method(method)
     for name, value, names in [("strain", strain, RATES), ("integrator", integrator, INTEGRATORS),
-                               ("edges", edges, EDGES), ("remedy", remedy, REMEDIES), ("leaving", leaving, LEAVING),
+                               ("edges", edges, EDGES), ("domains", domains, DOMAINS), ("radius", radius, RADII),
+                               ("remedy", remedy, REMEDIES), ("leaving", leaving, LEAVING),
                                ("engine", engine, ENGINES)]:
         check_choice(name, value, names)
     refresh = refresh if refresh is not None else 50 if remaps(integrator, tpic) else 1
@@ -143,7 +151,7 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
         warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow, at any time step; "
                       "with 'cmpm-c' and 'gimp' they do not.", UserWarning, stacklevel=2)
     choices = Choices(method, strain, integrator, edges, flip, xpic, bool(tpic), damping, load, dt, safety,
-                      int(refresh), remedy, leaving)
+                      int(refresh), remedy, leaving, domains, radius)
     run = make_run(engine, int(threads), mesh, _start(start, boundary, int(refresh)), material, choices)
     return _yield(run, int(steps), int(every), every_seconds)
 

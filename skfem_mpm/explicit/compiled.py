@@ -10,11 +10,10 @@ import numpy as np
 from numpy import ndarray
 from skfem import Mesh
 
-from ..kernels import chunks, dilation
+from ..kernels import chunks, dilation, domains
 from ..kernels.crew import Crew
 from ..kernels.options import TILE
 from ..materials import LinearElastic, VonMises
-from .nodes import Nodes
 from .pairs import stable_step
 from .run import POINT_ARRAYS, Run
 from .state import Choices, ExplicitState, remaps
@@ -45,7 +44,7 @@ class CompiledRun(Run):
                          and not self.smooth)
         self._choose_law()
         self.fused = (method.strain is method.mass and choices.integrator == "usl" and self.law != "python"
-                      and not self.smooth)
+                      and not (self.smooth or self.stretches))
         self.sorted = start.order is not None
         self.order = np.arange(self.x.shape[1]) if start.order is None else start.order
         self.ahead = self.x
@@ -75,9 +74,10 @@ class CompiledRun(Run):
         """Arrays for these points, which may have become fewer."""
         n = self.x.shape[1]
         gradients = max(len(self.kinematics.rows(self.dim)), len(self.rows))
-        self.grad = np.empty((gradients if self.law == "python" or self.smooth else 0, n))
+        kept = self.law == "python" or self.smooth or self.stretches
+        self.grad = np.empty((gradients if kept else 0, n))
         self.taken = np.zeros(-(-n // TILE))
-        self.tables = Tables(self.grid, self.choices, self.planes, self.length, n, self.crew)
+        self.tables = Tables(self.grid, self.choices, self.planes, self.length, n, self.crew, self.ring)
         self.sums = Sums(self.tables, self.crew)
         self.tables.measure(self.x, self.velocity)
 
@@ -100,10 +100,11 @@ class CompiledRun(Run):
     # -- one step ----------------------------------------------------------------------------------------------------
 
     def _advance(self) -> None:
-        choices, tables, sums = self.choices, self.tables, self.sums
+        choices = self.choices
         if self.step % SORT_EVERY == 0 or not self.sorted:
             self._sort()
         self._check_domains()
+        tables, sums = self.tables, self.sums
         tables.place(self.x, sums.buffer("occupied", sums.window.nnodes, dtype=np.uint8) if tables.others else NOTHING)
         if self.step - self.refreshed >= choices.refresh:
             self._find_step()
@@ -171,18 +172,22 @@ class CompiledRun(Run):
 
     def _check_domains(self) -> None:
         """Look at each domain if some may reach too far."""
-        tables, choices = self.tables, self.choices
+        choices = self.choices
+        if self.tables.wide != self.tables.overlong:
+            self._make_room()                           # for more nodes, or fewer
+        tables = self.tables
+        tables.length = self.length
         if tables.wide:
-            x, length, back = self.x, self.length, np.argsort(self.order)
+            tables.length = self._seen()
+            x, length, back = self.x, tables.length, np.argsort(self.order)
             edges = choices.edges if choices.method.mass.reads_domains else "clip"
             self.grid.check_reach(x[:, back], self.grid.locate(x[:, back]), length[:, back], edges)
 
     def _find_step(self) -> None:
         """Find the stable time step of this layout."""
-        choices, method, last = self.choices, self.choices.method, self.choices.integrator == "usl"
+        choices, last = self.choices, self.choices.integrator == "usl"
         if self.dim == 1 or self.hoop or type(self.material) not in (LinearElastic, VonMises):
-            return self._refresh(Nodes(self.grid, self.kinematics, self.x, self.mass, self.length, method,
-                                       choices.edges, self.planes))
+            return self._refresh(self._nodes())
         self._map_points(NONE)
         self._take_step(stable_step(self.sums, self.material, self.volume, self.mass,
                                     remaps(choices.integrator, choices.tpic), last))
@@ -265,11 +270,11 @@ class CompiledRun(Run):
         """Points move with the grid's velocity and take on its change; stress too if one stencil serves both."""
         mapping, frame, limits = self.tables.mapping, self.sums.window.frame, self.tables.limits
         moving = (mapping.base, mapping.w, nodal, frame, self.mass, self.x, self.ahead, self.velocity, self.flip,
-                  self.dt, limits, mapping.kt)
+                  self.dt)
         if self.fused:
-            self._apply_law("moved", *moving, self.sigma, self.volume, self.hoop)
+            self._apply_law("moved", *moving, limits, mapping.kt, self.sigma, self.volume, self.hoop)
         else:
-            self.crew(self.transfer.g2p, *moving)
+            self.crew(self.transfer.g2p, *moving, self.hoop, limits, mapping.kt)
         if self.slope is not None:
             self.crew(self.transfer.gradient, mapping.base, mapping.w, nodal, frame, self.x, 1.0, (), self.slope,
                       mapping.kt)
@@ -307,9 +312,16 @@ class CompiledRun(Run):
                   strain.kt)
         if self.smooth:
             grad[self.diagonal] += self._excess(grad[self.diagonal])
-        if self.law != "python":
-            return self._apply_law("given", grad, self.sigma, self.volume, self.hoop)
-        self._respond(grad[:len(self.kinematics.rows(self.dim))])
+        if self.law == "python":
+            return self._respond(grad[:len(self.kinematics.rows(self.dim))])
+        if self.stretches:
+            self._stretch(grad)
+        self._apply_law("given", grad, self.sigma, self.volume, self.hoop)
+
+    def _stretch(self, gradient: ndarray) -> None:
+        """Domains after the displacement gradient of a step."""
+        self.crew(domains.stretch, gradient, self.length)
+        self.tables.measure_domains(self.length)
 
     # -- snapshots ---------------------------------------------------------------------------------------------------
 

@@ -28,6 +28,11 @@ class Nodes:
     A node is light if points may read it and it is not active, even without any mass: a point on a face sees the far
     nodes by their slopes alone.
 
+    Parameters
+    ----------
+    ring
+        Whether the radius is part of the means over domains.
+
     Attributes
     ----------
     grid
@@ -45,11 +50,11 @@ class Nodes:
     """
 
     def __init__(self, full: Grid, kinematics: Kinematics, x: ndarray, mass: ndarray, length: ndarray | None,
-                 method: Method, edges: Edges, planes: Sequence[Any]):
+                 method: Method, edges: Edges, planes: Sequence[Any], ring: bool = False):
         index = full.locate(x)
         self.grid = grid = full.window(index, MARGIN)
         self.index = index - np.maximum(index.min(axis=1, keepdims=True) - MARGIN, 0)
-        self.kinematics, self.x, self.length, self.edges = kinematics, x, length, edges
+        self.kinematics, self.x, self.length, self.edges, self.ring = kinematics, x, length, edges, ring
         self.mapping = self._operators(method.mass, None)
         self.mirrors = [mirror for plane in planes for mirror in mirrors(grid, plane)]
         self.fixed = np.any([plane.fixes(grid) for plane in planes] or [np.zeros((grid.dim, grid.nnodes))], axis=0)
@@ -66,7 +71,8 @@ class Nodes:
         self.strain, self.force = found[method.strain], found[method.force]
 
     def _operators(self, basis: type[ParticleBasis], sides: ndarray | None) -> Operators:
-        stencil: Stencil = basis.stencil_of(self.grid, self.x, self.index, self.length, self.edges, sides)
+        stencil: Stencil = basis.stencil_of(self.grid, self.x, self.index, self.length, self.edges, sides,
+                                            ring=self.ring)
         return Operators(self.kinematics, stencil, self.x[0])
 
     # -- which nodes carry, and which follow -------------------------------------------------------------------------
@@ -106,13 +112,17 @@ class Nodes:
         self.share = csr_array((1 / count[row], (row, target)), shape=(len(self.light), self.grid.nnodes))
 
     def tilted(self, amounts: ndarray) -> ndarray:
-        r"""Nodal sums :math:`\sum_p N_I a_p (x_I - x_p)` of point gradients ``(dim * dim, n)``."""
+        r"""Nodal sums :math:`\sum_p N_I a_p (x_I - x_p)` of point gradients ``(dim * dim, n)``.
+
+        The middle of a ring's mass is not that of its domain.
+        """
         value, dim, shape = self.mapping.value, self.grid.dim, self.grid.vertices.shape
         width = len(value.data) // len(self.x[0])
         out = np.zeros((dim, self.grid.nnodes))
         for j, axis in enumerate(self.grid.axes):
             place = np.broadcast_to(axis.reshape([-1 if k == j else 1 for k in range(dim)]), shape).ravel()
-            lever = place[value.indices] - np.repeat(self.x[j], width)
+            middle = value @ place if self.ring and j == 0 else self.x[j]
+            lever = place[value.indices] - np.repeat(middle, width)
             matrix = csr_array((value.data * lever, value.indices, value.indptr), shape=value.shape)
             out += np.stack([matrix.T @ amounts[i * dim + j] for i in range(dim)])
         return out

@@ -46,13 +46,13 @@ class Operators:
     def _starts(self) -> ndarray:
         return np.arange(0, self.places.size + 1, self.places.shape[1], dtype=np.int32)
 
-    def _matrices(self, slopes: Iterable[int]) -> list[csr_array]:
+    def _matrices(self, slopes: Iterable[int], row: int = 0) -> list[csr_array]:
         """Slopes along these axes at the points, from nodal numbers, ``(n, nnodes)``; values for the axis -1."""
         w, dim, nnodes = self.stencil.w, self.dim, int(np.prod(self.stencil.shape))
         tables = {axis: np.empty(self.places.shape) for axis in slopes}
         for part in chunks(self.stencil.n):
             for axis, table in tables.items():
-                outer([w[k, int(k == axis), :, part] for k in range(dim)], out=table[part].T)
+                outer([w[k, 1 if k == axis else row, :, part] for k in range(dim)], out=table[part].T)
         return [csr_array((table.ravel(), self.places.ravel(), self._starts), shape=(self.stencil.n, nnodes))
                 for table in tables.values()]
 
@@ -60,6 +60,11 @@ class Operators:
     def value(self) -> csr_array:
         """:math:`N`."""
         return self._matrices([-1])[0]
+
+    @cached_property
+    def plain(self) -> csr_array:
+        """The same as plain means over domains: on rings :math:`N` is weighted by the radius."""
+        return self._matrices([-1], self.stencil.plain)[0] if self.stencil.plain else self.value
 
     @cached_property
     def slopes(self) -> list[csr_array]:
@@ -70,7 +75,7 @@ class Operators:
     def tables(self) -> list[ndarray]:
         """What a gradient is made of, ``(n, K**dim)`` each: slopes along the axes, then value over radius if needed."""
         tables = [matrix.data.reshape(self.places.shape) for matrix in self.slopes]
-        return tables + ([self.value.data.reshape(self.places.shape) / self.radius[:, None]] if self.hoop else [])
+        return tables + ([self.plain.data.reshape(self.places.shape) / self.radius[:, None]] if self.hoop else [])
 
     @property
     def terms(self) -> list[list[tuple[int, int]]]:
@@ -86,10 +91,14 @@ class Operators:
         """Interpolate nodal vectors ``(k, nnodes)`` to the points."""
         return np.stack([self.value @ row for row in nodal])
 
+    def to_middles(self, nodal: ndarray) -> ndarray:
+        """Interpolate nodal vectors ``(k, nnodes)`` to the middles of domains: on rings, the mass is not around it."""
+        return np.stack([self.plain @ row for row in nodal])
+
     def gradient(self, nodal: ndarray) -> ndarray:
         r""":math:`G u`: one row per gradient row."""
         rows = [self.slopes[j] @ nodal[i] for i, j in self.rows[:self.dim ** 2]]
-        return np.stack(rows + ([self.value @ nodal[0] / self.radius] if self.hoop else []))
+        return np.stack(rows + ([self.plain @ nodal[0] / self.radius] if self.hoop else []))
 
     def force(self, stress: ndarray) -> ndarray:
         r""":math:`L (V \sigma)`: nodal force from stress times volume, one row per gradient row."""
@@ -97,5 +106,5 @@ class Operators:
         for row, (i, j) in zip(stress, self.rows[:self.dim ** 2]):
             out[i] += self.slopes[j].T @ row
         if self.hoop:
-            out[0] += self.value.T @ (stress[-1] / self.radius)
+            out[0] += self.plain.T @ (stress[-1] / self.radius)
         return out

@@ -12,7 +12,7 @@ from skfem import Mesh
 
 from ..checks import OutsideGridError, UnstableError, check_positive
 from ..grid import Grid
-from ..kinematics import RATES, check_law
+from ..kinematics import RATES, check_law, stretched
 from .bound import stable_step
 from .dilation import CellMeans
 from .nodes import Nodes
@@ -30,7 +30,7 @@ class Run:
     def __init__(self, mesh: Mesh, start: ExplicitState, material: Any, choices: Choices):
         self.grid, self.material, self.choices = Grid.from_mesh(mesh), material, choices
         check_law(material)
-        self.particles = particles = start.particles       # what does not change of them
+        self.particles = particles = replace(start.particles, spans=None)       # what does not change of them
         self.kinematics, self.dim = particles.kinematics, particles.dim
         self._check(start)
         self.planes, self.last = start.boundary, start
@@ -44,6 +44,8 @@ class Run:
         finite = choices.strain == "logarithmic"
         self.x, self.volume, self.mass = particles.x.copy(), particles.volume.copy(), particles.mass
         self.length: Any = particles.length if reads_domains else None
+        self.stretches = choices.domains == "stretched" and self.length is not None
+        self.ring = choices.radius == "domain" and self.kinematics.hoop
         self.velocity = np.zeros((self.dim, n)) if particles.velocity is None else particles.velocity.copy()
         self.sigma = np.zeros((ncomp, n)) if particles.sigma is None else particles.sigma.copy()
         self.epsilon: Any = particles.epsilon if finite else None
@@ -91,8 +93,7 @@ class Run:
 
     def _advance(self) -> None:
         choices = self.choices
-        nodes = Nodes(self.grid, self.kinematics, self.x, self.mass, self.length, choices.method, choices.edges,
-                      self.planes)
+        nodes = self._nodes()
         if self.step - self.refreshed >= choices.refresh:
             self._refresh(nodes)
         means = CellMeans(nodes.grid, nodes.mapping, self.volume) if choices.remedy == "bbar" else None
@@ -111,6 +112,19 @@ class Run:
         self._check_moved(moved)
         self.x = self.x + moved
         self._leave()
+
+    def _nodes(self) -> Nodes:
+        return Nodes(self.grid, self.kinematics, self.x, self.mass, self._seen(), self.choices.method,
+                     self.choices.edges, self.planes, self.ring)
+
+    def _seen(self) -> Any:
+        """Domains as functions see them: stretched ones that outgrow the neighbours of their cell are cut off."""
+        if not self.stretches:
+            return self.length
+        inside = ~self.grid.outside(self.x)
+        seen = self.length.copy()
+        seen[:, inside] = self.grid.fitting(self.x[:, inside], self.grid.locate(self.x[:, inside]), seen[:, inside])
+        return seen
 
     def _momentum(self, nodes: Nodes) -> ndarray:
         """Momentum of the active nodes; with ``tpic`` points hand on their velocity gradient too."""
@@ -139,7 +153,7 @@ class Run:
     def _move(self, nodes: Nodes, before: ndarray, after: ndarray) -> ndarray:
         """Points take on the change of the grid's velocity; how far they move with it, ``(dim, n)``."""
         mapping, choices = nodes.mapping, self.choices
-        moving = mapping.to_points(after)
+        moving = mapping.to_middles(after)
         gravity = self._gravity()
         if gravity is not None:
             self.work["external"] += float(gravity @ (before + after) @ nodes.lumped * self.dt / 2)
@@ -171,10 +185,16 @@ class Run:
             self._stop("turned inside out", int(np.flatnonzero(~(ratio > 0))[0]))
         response = motion.respond(gradient)
         self.volume = self.volume * ratio
+        if self.stretches:
+            self._stretch(gradient)
         if self.material.history:
             self.work["plastic"] += self._dissipated(response.history)
         self.sigma, self.epsilon, self.history = response.sigma, response.epsilon, response.history
         self._check_finite("sigma")
+
+    def _stretch(self, gradient: ndarray) -> None:
+        """Domains after the displacement gradient of a step."""
+        self.length = stretched(self.length, gradient)
 
     def _dissipated(self, history: ndarray) -> float:
         """Energy that plastic flow takes on the way to a new history; not a number if the law does not say."""
@@ -234,7 +254,7 @@ class Run:
     def _leave(self) -> None:
         """Stop at points that leave the grid, or go on without them."""
         ghost = self.choices.edges == "ghost" and self.choices.method.mass.reads_domains
-        outside = self.grid.outside(self.x, self.length if ghost else None)
+        outside = self.grid.outside(self.x, self._seen() if ghost else None)
         if not outside.any():
             return
         if outside.all() and self.choices.leaving == "remove":
@@ -285,7 +305,8 @@ class Run:
         """The state now, frozen."""
         particles = replace(self.particles, x=self.x, volume=self.volume, velocity=self.velocity, sigma=self.sigma,
                             epsilon=self.epsilon,
-                            history=self.history if self.material.history else None)
+                            history=self.history if self.material.history else None,
+                            length=self.length if self.stretches else self.particles.length)
         energy = {**self._stored(), **self.work}
         self.last = ExplicitState(self.step, self.time, self.dt, self.refreshed, particles, self.planes, energy,
                                   kept=self.kept, slope=self.slope, rests_on=self.rests_on)

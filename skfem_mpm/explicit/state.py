@@ -91,6 +91,8 @@ class Choices:
     refresh: int
     remedy: str
     leaving: str
+    domains: str = "fixed"
+    radius: str = "point"
 
 
 def remaps(integrator: str, tpic: bool) -> bool:

@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from ..basis import CMPMBasis, GIMPBasis, ParticleBasis
 from ..grid import Grid
-from ..kernels import chunks
+from ..kernels import chunks, domains
 from ..kernels import stencil as stencils
 from ..kernels.axes import axes_arrays, cmpm_table
 from ..kernels.crew import Crew
@@ -22,9 +22,9 @@ from .window import Window
 class Table:
     """Stencil of one basis: first nodes and factors of the points, filled anew in every step."""
 
-    def __init__(self, width: int, n: int, dim: int, base: ndarray | None = None):
+    def __init__(self, width: int, n: int, dim: int, base: ndarray | None = None, rows: int = 2):
         self.base = np.empty((n, dim), dtype=np.int32) if base is None else base
-        self.w = np.empty((n, dim, 2, width))
+        self.w = np.empty((n, dim, rows, width))
         self.kt = (0,) * width
 
 
@@ -44,25 +44,29 @@ class Tables:
         ``(CHUNKS, 2)``; nodes along the first axis that each chunk of points may touch.
     """
 
-    def __init__(self, grid: Grid, choices: Choices, planes: Sequence[Any], length: ndarray | None, n: int, crew: Crew):
+    def __init__(self, grid: Grid, choices: Choices, planes: Sequence[Any], length: ndarray | None, n: int, crew: Crew,
+                 ring: bool = False):
         self.grid, self.choices, self.planes, self.crew, self.length = grid, choices, planes, crew, length
         self.knots, self.inverse, self.sizes = axes_arrays(grid.axes)
         dim, method = grid.dim, choices.method
         bases = {method.mass, method.strain, method.force}
         self.smallest = np.array([step.min() for step in grid.steps])
-        self.longest = np.zeros(dim) if length is None else length.max(axis=1)
-        self.wide = bool((self.longest > self.smallest * (1 + 1e-9)).any())
+        self.ring = ring
+        self.measure_domains(length)
+        self.wide = self.overlong
         equal = bool(self.sizes[:, 1].all())
-        self.narrow = method.mass is GIMPBasis and choices.edges == "ghost" and equal and not self.wide
+        self.narrow = method.mass is GIMPBasis and choices.edges == "ghost" and equal and not (self.wide or ring)
         self.quick = method.mass is ParticleBasis and equal
-        self.alike = length is not None and bool((length == length[:, :1]).all())
+        changing = choices.domains == "stretched"
+        self.alike = length is not None and not changing and bool((length == length[:, :1]).all())
         self.reach = int(bases != {ParticleBasis})
         self.others = tuple(sorted(bases - {method.mass}, key=lambda basis: basis.__name__))
         if CMPMBasis in bases:
             self.cmpm_table = cmpm_table(grid.axes)
         self.cell = np.empty((n, dim), dtype=np.int32)
         widths = {ParticleBasis: 2, CMPMBasis: 4, GIMPBasis: 3 if self.narrow else 4}
-        tables = {basis: Table(widths[basis], n, dim, self.cell if basis is ParticleBasis else None) for basis in bases}
+        tables = {basis: Table(widths[basis], n, dim, self.cell if basis is ParticleBasis else None,
+                               3 if ring and basis is GIMPBasis else 2) for basis in bases}
         self.by_basis = tables
         self.mapping, self.strain, self.force = tables[method.mass], tables[method.strain], tables[method.force]
         tiles = -(-n // TILE)
@@ -86,6 +90,15 @@ class Tables:
             self.window = Window(self.grid, self.box[0].copy(), self.box[1].copy(), self.planes,
                                  self.choices.edges)
         return found
+
+    def measure_domains(self, length: ndarray | None) -> None:
+        """Find the longest edges along the axes, after the domains have changed."""
+        self.longest = np.zeros(self.grid.dim) if length is None else length.max(axis=1)
+
+    @property
+    def overlong(self) -> bool:
+        """Whether some domain is longer than a cell; it may then reach into both neighbours, and has four nodes."""
+        return bool((self.longest > self.smallest * (1 + 1e-9)).any())
 
     @property
     def near_the_edge(self) -> bool:
@@ -121,6 +134,9 @@ class Tables:
     def _fill_gimp(self, x: ndarray, table: Table, sides: ndarray) -> None:
         self.crew(stencils.fill_gimp_masked, x, self.length, self.knots, self.inverse, self.sizes, self.cell,
                   self.window.frame, sides, table.base, table.w)
+        if self.ring:
+            self.crew(domains.weigh_rings, x, self.length, self.knots, self.inverse, self.cell, self.window.frame,
+                      sides, table.w)
 
     def _fill_cmpm(self, x: ndarray, table: Table, sides: ndarray) -> None:
         self.crew(stencils.fill_cmpm, x, self.knots, self.inverse, self.sizes, self.cell, self.window.frame, sides,

@@ -20,7 +20,7 @@ from .view import view
 
 Edges = Literal["ghost", "truncate", "clip"]
 EDGES = ("ghost", "truncate", "clip")
-Fill = Callable[[int, slice, ndarray], tuple[ndarray, ndarray]]
+Fill = Callable[[int, slice, ndarray], tuple[ndarray, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +183,7 @@ class Grid:
         return shift
 
     def gimp(self, x: ndarray, index: ndarray, length: ndarray, edges: Edges = "ghost",
-             sides: ndarray | None = None) -> Stencil:
+             sides: ndarray | None = None, ring: bool = False) -> Stencil:
         """GIMP stencil of points with domains of edges ``length (dim, n)``.
 
         Parameters
@@ -193,6 +193,9 @@ class Grid:
             ``truncate`` drops nodes that do not exist from Eq. (6), ``clip`` cuts the domain off and renormalises.
         sides
             From :func:`available_sides`, to clip domains to the available cells as well.
+        ring
+            Whether domains are rings, the first coordinate being a radius that is part of the mean; see
+            :func:`skfem_mpm.shapes.ring_gimp`.
 
         Raises
         ------
@@ -206,9 +209,13 @@ class Grid:
         if sides is None and edges == "clip":
             sides = available_sides(np.ones(self.cells.shape, dtype=bool))
 
-        def fill(k: int, part: slice, knots: ndarray) -> tuple[ndarray, ndarray]:
+        def fill(k: int, part: slice, knots: ndarray) -> tuple[ndarray, ...]:
             left, right = (True, True) if sides is None else (sides[side, k][tuple(index[:, part])] for side in (0, 1))
-            return shapes.gimp(x[k, part], length[k, part] / 2, knots, left, right)
+            domain = (x[k, part], length[k, part] / 2, knots, left, right)
+            if ring and k == 0:
+                return shapes.ring_gimp(*domain)
+            value, slope = shapes.gimp(*domain)
+            return (value, slope, value) if ring else (value, slope)
 
         return self._stencil(x, index, 3, fill)
 
@@ -218,22 +225,32 @@ class Grid:
         Three leave out the first or the last; if a domain reaches into both neighbours, it is four for all points.
         """
         base = index - (width > 2)
-        w = np.empty((self.dim, 2, width, x.shape[1]))
+        w: ndarray = np.empty(0)
         for part in chunks(x.shape[1]):
             for k, size in enumerate(self.cells.shape):
                 cell = index[k, part]
-                value, slope = fill(k, part, self.knots(k, cell))
+                tables = fill(k, part, self.knots(k, cell))
                 if width > 2:
                     for j, missing in ((0, cell == 0), (3, cell == size - 1)):      # nodes that do not exist
-                        value[j][missing] = slope[j][missing] = 0
+                        for table in tables:
+                            table[j][missing] = 0
                 if width == 3:
+                    slope = tables[1]
                     shift = slope[0] == 0
                     if not (shift | (slope[3] == 0)).all():
                         return self._stencil(x, index, 4, fill)
                     base[k, part] += shift
-                    value, slope = (np.where(shift, table[1:], table[:3]) for table in (value, slope))
-                w[k, 0, :, part], w[k, 1, :, part] = value, slope
+                    tables = tuple(np.where(shift, table[1:], table[:3]) for table in tables)
+                if not w.size:
+                    w = np.empty((self.dim, len(tables), width, x.shape[1]))
+                for row, table in enumerate(tables):
+                    w[k, row, :, part] = table
         return Stencil(base, w, self.vertices.shape)
+
+    def fitting(self, x: ndarray, index: ndarray, length: ndarray) -> ndarray:
+        """Domains cut off, at both ends alike, to what lies within the neighbours of their cells, ``(dim, n)``."""
+        near = [np.minimum(x[k] - knots[index[k]], knots[index[k] + 3] - x[k]) for k, knots in enumerate(self._knots)]
+        return np.minimum(length, 2 * np.stack(near))
 
     def check_reach(self, x: ndarray, index: ndarray, length: ndarray, edges: str) -> None:
         """Refuse domains that reach beyond the neighbours of their cell, or off the grid with ``ghost`` edges."""

@@ -35,7 +35,8 @@ class Stencil:
     base
         ``(dim, n)``; first node of each point along each axis.
     w
-        ``(dim, 2, K, n)``; value (0) and slope (1) of its ``K`` nodes along each axis.
+        ``(dim, 2, K, n)``; value (0) and slope (1) of its ``K`` nodes along each axis.  On rings ``(dim, 3, K, n)``:
+        the first two are means weighted by the radius, the third (2) are plain means of the value.
     shape
         Number of nodes along each axis.
     """
@@ -72,9 +73,15 @@ class Stencil:
         far = np.array(self.shape) - self.w.shape[2]
         return bool((self.base >= 0).all() and (self.base.max(axis=1, initial=0) <= far).all())
 
-    def value(self, part: slice = slice(None)) -> ndarray:
-        """Shape functions, ``(K**dim, n)``."""
-        return outer([self.w[k, 0, :, part] for k in range(len(self.shape))])
+    @property
+    def plain(self) -> int:
+        """Which row of a factor holds plain means of the value: that of the value, but on rings."""
+        return 2 if self.w.shape[1] == 3 else 0
+
+    def value(self, part: slice = slice(None), plain: bool = False) -> ndarray:
+        """Shape functions, ``(K**dim, n)``; on rings weighted by the radius, or ``plain`` means."""
+        row = self.plain if plain else 0
+        return outer([self.w[k, row, :, part] for k in range(len(self.shape))])
 
     def gradient(self, part: slice = slice(None)) -> ndarray:
         """Their gradients, ``(dim, K**dim, n)``."""
@@ -88,11 +95,14 @@ class Stencil:
             scatter_add(out, self.nodes(part), self.value(part) * amount[part])
         return out
 
-    def to_points(self, nodal: ndarray) -> ndarray:
-        """Interpolate nodal vectors ``(dim, nnodes)`` to the points, ``(dim, n)``."""
+    def to_points(self, nodal: ndarray, plain: bool = False) -> ndarray:
+        """Interpolate nodal vectors ``(dim, nnodes)`` to the points, ``(dim, n)``; on rings perhaps by ``plain`` means.
+
+        Plain means move the middles of domains with a linear field as it moves their ends.
+        """
         out = np.empty((len(nodal), self.n))
         for part in chunks(self.n):
-            nodes, value = self.nodes(part), self.value(part)
+            nodes, value = self.nodes(part), self.value(part, plain)
             for i, row in enumerate(nodal):
                 out[i, part] = np.einsum("kn,kn->n", value, row[nodes])
         return out

@@ -14,7 +14,7 @@ from ..basis import Method, find_method
 from ..checks import NotConvergedError, OutsideGridError, check_choice
 from ..grid import EDGES, Edges
 from ..integration import find_integration
-from ..kinematics import STRAINS
+from ..kinematics import DOMAINS, RADII, STRAINS
 from ..particles import Particles
 from ..weights import WEIGHTS
 from .control import Control
@@ -33,9 +33,9 @@ NUMBER: Any = Real             # of a type that mypy takes for any: it does not 
 def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | State, material: Any,
                    boundary: Sequence[Any] | None = None, *, steps: int, method: str | Method = "mpm",
                    strain: str = "logarithmic", scheme: str = "equilibrated", weights: str = "one",
-                   integration: Any = "points", edges: Edges = "ghost", tangent: str | None = None,
-                   gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6, ghost: float = 0.0,
-                   tolerance: float = 1e-11, max_cuts: int = 6, control: Control | None = None,
+                   integration: Any = "points", edges: Edges = "ghost", domains: str = "fixed", radius: str = "point",
+                   tangent: str | None = None, gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6,
+                   ghost: float = 0.0, tolerance: float = 1e-11, max_cuts: int = 6, control: Control | None = None,
                    dt: float | None = None, numerical_damping: float = 0.0, engine: str = "auto") -> Iterator[State]:
     r"""Bring a body to equilibrium load step by load step, or move it in time; yields a :class:`State` after each.
 
@@ -65,6 +65,13 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         How point stress becomes nodal force: ``points``.
     edges
         What GIMP does at the edge of the grid: ``ghost``, ``truncate``, ``clip``.
+    domains
+        Boxes that GIMP averages over: ``fixed`` (edges stay as they are, as in the paper) or ``stretched`` (they follow
+        the stretch along the axes and the points' volume; one that outgrows the neighbours of its cell is seen cut off
+        there).
+    radius
+        In axial symmetry, what GIMP takes as the radius: that of the ``point`` (as in the paper), or the one under the
+        integral over its ``domain``.
     tangent
         ``exact`` derivative of the residual (default of ``equilibrated``), or ``conjugate``: the functions that carry
         force on both sides, as in the paper (default of ``incremental``).
@@ -124,7 +131,10 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     """
     options = _check(method, strain, scheme, weights, integration, edges, tangent, floor, ghost, tolerance, solver)
     _check_extras(control, gravity, dt, numerical_damping, scheme)
-    options = replace(options, dt=float(dt or 0.0), numerical_damping=float(numerical_damping))
+    for name, value, choices in [("domains", domains, DOMAINS), ("radius", radius, RADII)]:
+        check_choice(name, value, choices)
+    options = replace(options, domains=domains, radius=radius, dt=float(dt or 0.0),
+                      numerical_damping=float(numerical_damping))
     for name, count, least in [("steps", steps, 1), ("max_cuts", max_cuts, 0)]:
         if not (isinstance(count, Integral) and count >= least):
             raise ValueError(f"{name}: got {count!r}, expected a whole number of at least {least}.")

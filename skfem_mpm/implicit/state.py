@@ -139,6 +139,8 @@ class Options:
     ghost: float
     tolerance: float
     solver: Solver | None
+    domains: str = "fixed"
+    radius: str = "point"
     dt: float = 0.0                         # without inertia
     numerical_damping: float = 0.0
     engine: str = "numpy"

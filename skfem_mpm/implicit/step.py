@@ -14,11 +14,11 @@ from skfem import Mesh
 
 from ..basis import ParticleBasis
 from ..checks import check_array
-from ..cover import domains
+from ..cover import spans_of
 from ..ghost import ghost_stiffness, young
 from ..grid import Edges, Grid
 from ..integration import on_points
-from ..kinematics import STRAINS, Kinematics
+from ..kinematics import STRAINS, Kinematics, carried, stretched
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
@@ -68,7 +68,9 @@ class Step:
         particles = _needed(state.particles, options)
         method = options.method
         self.particles = particles
-        self.support = Support(mesh, particles, method, options.edges, state.boundary, options.integration.covers)
+        self.ring = options.radius == "domain" and particles.kinematics.hoop
+        self.support = Support(mesh, _seen(mesh, particles, options), method, options.edges, state.boundary, self.ring,
+                               options.integration.covers)
         self.motion = self._motion(particles)
         self.operator = self._operator(method.force, method.strain)
         self.tangent_operator = self.operator
@@ -87,7 +89,7 @@ class Step:
                                             particles.history)
 
     def _operator(self, force: type, strain: type) -> Any:
-        support, points = self.support, self.particles
+        support, points = self.support, self.support.particles
         factor = weights(self.options.weights, support.grid, support.index, points.x, points.volume,
                          points.kinematics.hoop, points.length)
         return made_for(self.options.engine, self.options.integration.pair(support, force, strain, factor))
@@ -328,19 +330,28 @@ class Step:
         if not ratio.min() > 0:
             raise Retry("a point turned inside out")
         response = self.motion.respond(gradient)
-        spans = None if old.spans is None else stretched(gradient, old.spans)
-        particles = replace(old, x=old.x + support.motion.to_points(u), volume=old.volume * ratio, spans=spans,
+        particles = replace(old, x=old.x + support.motion.to_points(u, plain=True), volume=old.volume * ratio,
                             sigma=response.sigma, epsilon=response.epsilon,
                             history=response.history if self.material.history else None)
+        particles = self._with_domains(particles, gradient)
         displacement = np.zeros((old.dim, self.mesh.nvertices))
         displacement[:, support.grid.vertices.ravel()] = u
         boundary = tuple(item.advanced(share) for item in self.state.boundary)
         basis = self.options.method.strain
         recovery = _Recovery(support.grid, basis, self.options.edges, support.sides_of(basis), support.occupied, u,
-                             STRAINS[self.options.strain], old.kinematics, self.material)
+                             STRAINS[self.options.strain], old.kinematics, self.material, self.ring)
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
                      scheme=self.options.scheme, gravity=gravity, time=self.state.time, engine=self.options.engine,
                      _recovery=recovery)
+
+    def _with_domains(self, particles: Particles, gradient: ndarray) -> Particles:
+        """The points with what the step makes of the domains that they carry."""
+        length, spans = particles.length, particles.spans
+        if length is not None and self.options.domains == "stretched":
+            length = stretched(length, gradient)
+        if spans is not None:
+            spans = carried(spans, gradient)
+        return replace(particles, length=length, spans=spans)
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,6 +367,7 @@ class _Recovery:
     strain: type
     kinematics: Kinematics
     material: Any
+    ring: bool
 
     def __call__(self, x: ndarray, length: ndarray | None) -> ndarray:
         x = check_array("x", x, (len(self.u), None))
@@ -364,7 +376,7 @@ class _Recovery:
         if len(empty):
             raise ValueError(f"x: got point {empty[0]} at {x[:, empty[0]]}, in a cell that held no points in this "
                              "step; expected positions in the body.")
-        stencil = self.basis.stencil_of(self.grid, x, index, length, self.edges, self.sides)
+        stencil = self.basis.stencil_of(self.grid, x, index, length, self.edges, self.sides, ring=self.ring)
         operator = on_points(self.kinematics, stencil, stencil, np.ones(x.shape[1]), x[0])
         zero = np.zeros((self.kinematics.ncomp, x.shape[1]))
         motion = self.strain(self.kinematics, len(x), self.material, zero, None)
@@ -372,19 +384,18 @@ class _Recovery:
 
 
 def _needed(particles: Particles, options: Options) -> Particles:
-    """Only what the scene requires: velocity with inertia, domains if a basis or the weights read them."""
+    """Only what the scene requires: velocity with inertia, domains if a basis, weights or the integration read them."""
     method = options.method
-    if not options.dt:
-        particles = replace(particles, velocity=None)
-    uses_domains = any(basis.reads_domains for basis in (method.mass, method.strain, method.force))
-    if options.integration.covers:
-        particles = replace(particles, spans=domains(particles))
-    if uses_domains or options.weights == "overlap":
+    uses_boxes = any(basis.reads_domains for basis in (method.mass, method.strain, method.force))
+    return replace(particles, velocity=particles.velocity if options.dt else None,
+                   length=particles.length if uses_boxes or options.weights == "overlap" else None,
+                   spans=spans_of(particles) if options.integration.covers else None)
+
+
+def _seen(mesh: Mesh, particles: Particles, options: Options) -> Particles:
+    """The points as functions see them: stretched boxes that outgrow the neighbours of their cell are cut off."""
+    if options.domains == "fixed" or particles.length is None:
         return particles
-    return replace(particles, length=None)
-
-
-def stretched(gradient: ndarray, spans: ndarray) -> ndarray:
-    """Edges of the domains after a step: they go with the deformation at the point."""
-    dim = len(spans)
-    return spans + np.einsum("ijn,jkn->ikn", gradient[:dim * dim].reshape(dim, dim, -1), spans)
+    grid = Grid.from_mesh(mesh)
+    grid.check_dim(particles.dim)
+    return replace(particles, length=grid.fitting(particles.x, grid.locate(particles.x), particles.length))

@@ -59,7 +59,7 @@ class OfStencil:
     def tables(self, part: slice) -> list[ndarray]:
         """Slopes along the axes, then in axial symmetry value over radius."""
         tables = list(self.stencil.gradient(part))
-        return tables if self.radius is None else tables + [self.stencil.value(part) / self.radius[part]]
+        return tables if self.radius is None else tables + [self.stencil.value(part, plain=True) / self.radius[part]]
 
 
 class OfTable:

@@ -1,10 +1,10 @@
 """Mapping to the grid and back in two dimensions.
 
-``base (n, dim)`` and ``w (n, dim, 2, K)`` are stencils, ``kt`` a tuple of length K, ``frame`` first node and stride of
-the window of nodes per axis.  ``rows`` holds the nodes along the first axis that each chunk may touch.  Points are
-added to ``copies``: a grid for each chunk, to be summed after; or if there is only one, as is best for one thread, to
-``out`` at once, one chunk after the other.  ``nodal`` holds the velocity of nodes after the
-step and its change.
+``base (n, dim)`` and ``w (n, dim, 2, K)`` are stencils, on rings ``w (n, dim, 3, K)``, see
+:class:`~skfem_mpm.grid.Stencil`; ``kt`` is a tuple of length K, ``frame`` first node and stride of the window of nodes
+per axis.  ``rows`` holds the nodes along the first axis that each chunk may touch.  Points are added to ``copies``: a
+grid for each chunk, to be summed after; or if there is only one, as is best for one thread, to ``out`` at once, one
+chunk after the other.  ``nodal`` holds the velocity of nodes after the step and its change.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from .chunks import band, closed, cut, finish, measure, opened
+from .domains import centre, plain
 from .options import APART, INLINE, OPTIONS, TILE
 
 U = np.uint64
@@ -32,7 +33,7 @@ def _node(base, row, origin, p):
 @njit(**APART)
 def _add(base, w, m, v, volume, sigma, x, hoop, row, origin, g, kt, p0, p1):
     """Mass, momentum and internal force of a range of points."""
-    stride = U(row)
+    stride, mean = U(row), plain(w)
     for q in range(p0, p1):
         p = U(q)
         mass, size = m[p], -volume[p]
@@ -44,7 +45,7 @@ def _add(base, w, m, v, volume, sigma, x, hoop, row, origin, g, kt, p0, p1):
             mw, ux, uy = wx * mass, wx * mx, wx * my
             c3, c4, c5, c6 = dx * sxx, dx * sxy, wx * sxy, wx * syy
             if len(hoop):
-                c3 += wx * (size * sigma[2, p] / x[0, p])
+                c3 += w[p, 0, mean, U(a)] * (size * sigma[2, p] / x[0, p])
             for b in range(len(kt)):
                 i, wy, dy = node + U(b), w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
                 g[i, 0] += wy * mw
@@ -129,9 +130,9 @@ def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
         for q in range(cut(n, c), cut(n, c + 1)):
             p, mass = U(q), m[q]
             xx, xy, yx, yy = mass * slope[0, p], mass * slope[1, p], mass * slope[2, p], mass * slope[3, p]
-            node = U(_node(base, row, origin, p))
+            node, middle = U(_node(base, row, origin, p)), centre(base, w, knots, x, kt, p)
             for a in range(len(kt)):
-                wx, rx = w[p, 0, 0, U(a)], knots[0, base[p, 0] + a + 1] - x[0, p]
+                wx, rx = w[p, 0, 0, U(a)], knots[0, base[p, 0] + a + 1] - middle
                 for b in range(len(kt)):
                     i, value, ry = node + U(b), wx * w[p, 1, 0, U(b)], knots[1, base[p, 1] + b + 1] - x[1, p]
                     g[i, 0] += value * (xx * rx + xy * ry)
@@ -146,7 +147,7 @@ def p2g_force(base, w, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0,
     """Internal force."""
     n, start, end = len(volume), 0, 0
     row, origin = _steps(frame)
-    stride = U(row)
+    stride, mean = U(row), plain(w)
     for c in range(c0, c1):
         low, high = band(rows, frame, c)
         g = opened(out, copies, c, low, high, start, end)
@@ -159,7 +160,7 @@ def p2g_force(base, w, volume, sigma, x, hoop, frame, out, copies, rows, kt, c0,
                 wx, dx = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
                 c3, c4, c5, c6 = dx * sxx, dx * sxy, wx * sxy, wx * syy
                 if len(hoop):
-                    c3 += wx * (size * sigma[2, p] / x[0, p])
+                    c3 += w[p, 0, mean, U(a)] * (size * sigma[2, p] / x[0, p])
                 for b in range(len(kt)):
                     i, wy, dy = node + U(b), w[p, 1, 0, U(b)], w[p, 1, 1, U(b)]
                     g[i, 0] += wy * c3 + dy * c5
@@ -196,11 +197,11 @@ def move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, first, lim
     ``limits`` takes mass times mean velocity and what :func:`~skfem_mpm.kernels.chunks.measure` finds.
     """
     row, origin = _steps(frame)
-    stride, workx, worky = U(row), 0.0, 0.0
+    stride, mean, workx, worky = U(row), plain(w), 0.0, 0.0
     for q in range(p0, p1):
         p, at = U(q), U(q - first)
         node = U(_node(base, row, origin, p))
-        vx = vy = gx = gy = xx = xy = yx = yy = 0.0
+        vx = vy = mx = my = gx = gy = xx = xy = yx = yy = 0.0
         for a in range(len(kt)):
             wx, dx = w[p, 0, 0, U(a)], w[p, 0, 1, U(a)]
             rx = ry = hx = hy = sx = sy = 0.0
@@ -213,34 +214,33 @@ def move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, first, lim
                 hy += wy * nodal[i, 3]
                 sx += dy * nx
                 sy += dy * ny
-            vx += wx * rx
-            vy += wx * ry
-            gx += wx * hx
-            gy += wx * hy
-            xx += dx * rx
-            yx += dx * ry
-            xy += wx * sx
-            yy += wx * sy
+            if len(hoop):
+                mx, my = mx + w[p, 0, mean, U(a)] * rx, my + w[p, 0, mean, U(a)] * ry
+            vx, vy = vx + wx * rx, vy + wx * ry
+            gx, gy = gx + wx * hx, gy + wx * hy
+            xx, xy = xx + dx * rx, xy + wx * sx
+            yx, yy = yx + dx * ry, yy + wx * sy
             node += stride
-        v[0, p] = flip * (v[0, p] + gx) + (1 - flip) * vx
-        v[1, p] = flip * (v[1, p] + gy) + (1 - flip) * vy
-        ahead[0, p], ahead[1, p] = x[0, p] + dt * vx, x[1, p] + dt * vy
+        v[0, p], v[1, p] = flip * (v[0, p] + gx) + (1 - flip) * vx, flip * (v[1, p] + gy) + (1 - flip) * vy
+        if not len(hoop):
+            mx, my = vx, vy
+        ahead[0, p], ahead[1, p] = x[0, p] + dt * mx, x[1, p] + dt * my
         workx += m[p] * (vx - gx / 2)
         worky += m[p] * (vy - gy / 2)
         if len(grad):
             grad[0, at], grad[1, at], grad[2, at], grad[3, at] = dt * xx, dt * xy, dt * yx, dt * yy
             if len(hoop):
-                grad[4, at] = dt * vx / x[0, p]
+                grad[4, at] = dt * mx / x[0, p]
     limits[1], limits[2] = workx, worky
     measure(x, ahead, v, limits, p0, p1)
 
 
 @njit(**OPTIONS)
-def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, c0, c1):
+def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, limits, kt, c0, c1):
     """Move points with the grid."""
     n, none = len(m), np.empty((0, 0))
     for t in range(cut(n, c0), cut(n, c1), TILE):
-        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, (), none, 0, limits[t // TILE], kt, t,
+        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, none, 0, limits[t // TILE], kt, t,
              min(t + TILE, n))
 
 
@@ -248,7 +248,7 @@ def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, c0, c1):
 def slopes(base, w, nodal, frame, x, dt, hoop, grad, first, kt, p0, p1):
     """Displacement gradient of a tile over a step."""
     row, origin = _steps(frame)
-    stride = U(row)
+    stride, mean = U(row), plain(w)
     for q in range(p0, p1):
         p, at = U(q), U(q - first)
         node = U(_node(base, row, origin, p))
@@ -263,7 +263,7 @@ def slopes(base, w, nodal, frame, x, dt, hoop, grad, first, kt, p0, p1):
                 ry += wy * ny
                 sx += dy * nx
                 sy += dy * ny
-            vx += wx * rx
+            vx += w[p, 0, mean, U(a)] * rx
             xx += dx * rx
             yx += dx * ry
             xy += wx * sx

@@ -275,11 +275,11 @@ def move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, grad, first, lim
 
 
 @njit(**OPTIONS)
-def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, limits, kt, c0, c1):
+def g2p(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, limits, kt, c0, c1):
     """Move points with the grid."""
     n, none = len(m), np.empty((0, 0))
     for t in range(cut(n, c0), cut(n, c1), TILE):
-        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, (), none, 0, limits[t // TILE], kt, t,
+        move(base, w, nodal, frame, m, x, ahead, v, flip, dt, hoop, none, 0, limits[t // TILE], kt, t,
              min(t + TILE, n))
 
 

@@ -5,9 +5,10 @@ A *gradient row* is one component of the displacement gradient that the kinemati
 stored packed, ``(ncomp, n)``, shear as the tensor component.
 """
 
+from .domains import DOMAINS, RADII, carried, stretched
 from .laws import check_law
 from .motion import Kinematics, axisymmetric, plane_strain, solid, uniaxial
 from .strains import RATES, STRAINS, Logarithmic, Objective, Response, Small
 
-__all__ = ["RATES", "STRAINS", "Kinematics", "Logarithmic", "Objective", "Response", "Small", "axisymmetric",
-           "check_law", "plane_strain", "solid", "uniaxial"]
+__all__ = ["DOMAINS", "RADII", "RATES", "STRAINS", "Kinematics", "Logarithmic", "Objective", "Response", "Small",
+           "axisymmetric", "carried", "check_law", "plane_strain", "solid", "stretched", "uniaxial"]

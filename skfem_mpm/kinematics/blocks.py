@@ -13,15 +13,15 @@ def deformation(gradient: ndarray, dim: int) -> ndarray:
 
 def volume_ratio(gradient: ndarray, dim: int) -> ndarray:
     """Volume ratio; a negative sign marks any inverted stretch, even an inverted pair."""
-    in_plane = _determinant(gradient, dim)
+    in_plane = in_plane_ratio(gradient, dim)
     if len(gradient) == dim * dim:
         return in_plane
     hoop = 1 + gradient[-1]
     return np.where(hoop > 0, hoop * in_plane, -np.abs(hoop * in_plane))
 
 
-def _determinant(gradient: ndarray, dim: int) -> ndarray:
-    """Of the in-plane block of the unit tensor plus the gradient."""
+def in_plane_ratio(gradient: ndarray, dim: int) -> ndarray:
+    """Volume ratio without the hoop part: determinant of the in-plane block of the deformation gradient."""
     if dim == 1:
         return 1 + gradient[0]
     if dim == 2:
