@@ -108,8 +108,9 @@ class Wall:
     in the step, linear functions cannot follow it from point to point, and points that are close make stress of that:
     there segments want to be about half a cell to a cell long.  A wall that moves as one may have any.
 
-    Wall points use linear functions whatever the method: those of their own cell where all its nodes are in play, else
-    those of the nearest such cell, extrapolated.
+    Wall points push with linear functions whatever the method: those of their own cell where all its nodes are in play,
+    else those of the nearest such cell, extrapolated.  They move with them too, unless the points of the body move by
+    other functions: then with these, from the nearest cell that holds points.
 
     Parameters
     ----------
@@ -211,18 +212,28 @@ class Wall:
         moved = [row if step is None else row + share * step for row, step in zip(self.x, self.increment)]
         return replace(self, x=np.stack(moved))
 
-    def rows(self, support: Any, share: float) -> tuple[list[Any], list[float], list[int]]:
-        """Constraint rows over the solved components, their right-hand sides, and the component of each."""
-        nodes, value = self._functions(support)
-        rows, values, components = [], [], []
-        for points in self._groups():
-            for component, step in enumerate(self.increment):
-                if step is not None:
-                    rows.append(support.row(nodes[:, points].ravel(), value[:, points].ravel() / len(points),
-                                            component))
-                    values.append(share * (step[points].mean() if isinstance(step, ndarray) else step))
-                    components.append(component)
-        return rows, values, components
+    def rows(self, support: Any, share: float) -> tuple[list[Any], list[Any], list[float], list[int]]:
+        """Rows over the solved components, one per constraint.
+
+        Returns
+        -------
+        moving, pushing
+            How far the wall moves with the grid, and how its force acts on it; the same list if by the same functions.
+        values, components
+            How far it has to move, and along which axis.
+        """
+        groups = [(points, component, step) for points in self._groups()
+                  for component, step in enumerate(self.increment) if step is not None]
+
+        def means(functions: tuple[ndarray, ndarray]) -> list[Any]:
+            nodes, value = functions
+            return [support.row(nodes[:, points].ravel(), value[:, points].ravel() / len(points), component)
+                    for points, component, _ in groups]
+
+        pushing = means(self._functions(support))
+        moving = pushing if support.method.motion is None else means(self._recovered(support))
+        values = [share * (step[points].mean() if isinstance(step, ndarray) else step) for points, _, step in groups]
+        return moving, pushing, values, [component for _, component, _ in groups]
 
     def _groups(self) -> list[ndarray]:
         """The points of each segment."""
@@ -241,8 +252,15 @@ class Wall:
         nodes = np.ravel_multi_index(tuple(cell[:, None] + corners), grid.vertices.shape)
         return nodes, np.prod(np.where(corners, t, 1 - t), axis=0)
 
+    def _recovered(self, support: Any) -> tuple[ndarray, ndarray]:
+        """Nodes and values of the functions that move the points, ``(K**dim, n)``; nodes off the body have none."""
+        grid, basis = support.grid, support.method.motion
+        cell = self._nearest(grid, self._cells(support), support.occupied)
+        stencil = basis.stencil_of(grid, self.x, cell, None, support.edges, support.sides_of(basis))
+        return stencil.nodes(), stencil.value()
+
     def _cells(self, support: Any) -> ndarray:
-        """The cell whose functions each wall point uses."""
+        """The cell whose linear functions each wall point uses."""
         grid = support.grid
         try:
             support.full.locate(self.x)
@@ -250,11 +268,16 @@ class Wall:
             raise OutsideGridError(f"wall {self.name!r}: {error}") from None
         low, high = ([axis[end] for axis in grid.axes] for end in (0, -1))
         cell = grid.locate(np.clip(self.x, np.reshape(low, (-1, 1)), np.reshape(high, (-1, 1))))
-        lost, sound = np.flatnonzero(~support.holds(cell)), np.stack(np.nonzero(support.sound))
-        middle = np.stack([((grid.axes[k][1:] + grid.axes[k][:-1]) / 2)[sound[k]] for k in range(grid.dim)])
-        for p in lost:
-            cell[:, p] = sound[:, np.argmin(((middle - self.x[:, p, None]) ** 2).sum(axis=0))]
+        cell = self._nearest(grid, cell, support.sound)
         self._check_near(grid, cell)
+        return cell
+
+    def _nearest(self, grid: Grid, cell: ndarray, usable: ndarray) -> ndarray:
+        """These cells ``(dim, n)``, or the nearest ones to the wall points that are usable."""
+        cell, found = cell.copy(), np.stack(np.nonzero(usable))
+        middle = np.stack([((grid.axes[k][1:] + grid.axes[k][:-1]) / 2)[found[k]] for k in range(grid.dim)])
+        for p in np.flatnonzero(~usable[tuple(cell)]):
+            cell[:, p] = found[:, np.argmin(((middle - self.x[:, p, None]) ** 2).sum(axis=0))]
         return cell
 
     def _check_near(self, grid: Grid, cell: ndarray) -> None:

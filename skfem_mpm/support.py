@@ -149,7 +149,8 @@ class Support:
         return self.transfer.T @ nodal[:, self.known].T.ravel()
 
     def row(self, nodes: ndarray, value: ndarray, component: int) -> csr_array:
-        """A constraint row over the components of the solved nodes."""
+        """A constraint row over the components of the solved nodes; nodes out of play have the value zero."""
+        nodes, value = nodes[value != 0], value[value != 0]
         columns = self.number[component, nodes]
         full = coo_array((value, (np.zeros_like(columns), columns)), shape=(1, self.transfer.shape[0]))
         return csr_array(full @ self.transfer)

@@ -105,7 +105,7 @@ def test_wall_rows_read_any_linear_field_at_the_true_wall(method, dim, empty):
     shift, slope = random.uniform(-1, 1, (dim, 1)), random.uniform(-1, 1, (dim, dim))
     unknowns = (shift + slope @ nodes)[:, support.solved_nodes].T.ravel()
     wall = Wall(WALLS[dim], [0.25] * dim)
-    rows, values, components = wall.rows(support, share=0.5)
+    rows, _, values, components = wall.rows(support, share=0.5)
     assert len(rows) == wall.x.size
     assert_array_equal(values, 0.125)
     expected = (shift + slope @ wall.x).T.ravel()          # point by point, component inner
@@ -125,7 +125,7 @@ def test_the_scene_for_the_rows_is_what_it_says():
 def test_a_component_without_increment_is_free(dim):
     support, _ = support_of("mpm", dim, empty=False)
     wall = Wall(WALLS[dim], [None] * (dim - 1) + [0.1])
-    rows, values, components = wall.rows(support, share=1.0)
+    rows, _, values, components = wall.rows(support, share=1.0)
     assert len(rows) == wall.x.shape[1] and set(components) == {dim - 1}
     assert_allclose(wall.advanced(0.5).x[:-1], wall.x[:-1])
     assert_allclose(wall.advanced(0.5).x[-1], wall.x[-1] + 0.05)
@@ -358,8 +358,8 @@ def test_a_segment_takes_the_mean_of_the_rows_and_values_of_its_points(dim, empt
     n = WALLS[dim].shape[1]
     increment, labels = list(random.uniform(-1, 1, (dim, n))), random.permutation(np.arange(n) % 3) - 1
     single, means = Wall(WALLS[dim], increment), Wall(WALLS[dim], increment, segments=labels)
-    rows, values, _ = single.rows(support, share=0.5)
-    mean_rows, mean_values, components = means.rows(support, share=0.5)
+    rows, _, values, _ = single.rows(support, share=0.5)
+    mean_rows, _, mean_values, components = means.rows(support, share=0.5)
     assert components == list(range(dim)) * 3
     assert_allclose(values, 0.5 * np.array(increment).T.ravel())
     dense = np.stack([row.toarray()[0] for row in rows]).reshape(n, dim, -1)
@@ -376,7 +376,7 @@ def test_one_number_is_the_same_as_that_number_for_every_point():
     n = WALLS[2].shape[1]
     for segments in (None, np.arange(n) // 2):
         given = [Wall(WALLS[2], (step, None), segments=segments) for step in (0.3, np.full(n, 0.3))]
-        (rows, values, components), (others, same, names) = (wall.rows(support, share=1.0) for wall in given)
+        (rows, _, values, components), (others, _, same, names) = (wall.rows(support, share=1.0) for wall in given)
         assert_allclose(values, same, rtol=1e-15)
         assert components == names
         assert_allclose(*(np.stack([row.toarray()[0] for row in each]) for each in (rows, others)))

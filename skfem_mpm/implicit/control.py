@@ -83,7 +83,7 @@ class Control:
         if len(self.x) != support.grid.dim:
             raise ValueError(f"control: got a place of {len(self.x)} coordinate(s) on a mesh in {support.grid.dim} "
                              "dimension(s); give one per axis.")
-        rows, _, _ = Wall(self.x[:, None], [0.0] * len(self.x), name="control").rows(support, 1.0)
+        rows, _, _, _ = Wall(self.x[:, None], [0.0] * len(self.x), name="control").rows(support, 1.0)
         return stack_rows(rows, support.transfer.shape[1])
 
 

@@ -29,11 +29,20 @@ from .state import Options, State
 
 MAX_PASSES = 25
 SHARES = tuple(0.5 ** k for k in range(8))    # at the kinks of plastic flow only short ways along the tangent go down
-Walls = tuple[csr_array, ndarray, list[tuple[str, int]]]     # rows, their right-hand sides, and whose they are
 
 
 class Retry(Exception):
     """The step did not converge and may do so in smaller parts."""
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Constraints by walls over the solved components: how they move, how they push, how far, and whose each is."""
+
+    rows: csr_array
+    columns: csr_array
+    values: ndarray
+    owner: list[tuple[str, int]]
 
 
 @dataclass(frozen=True)
@@ -142,24 +151,24 @@ class Step:
 
     def advance(self, share: float, load: Callable[[float], Any], done: float) -> State:
         """The state after ``share`` of a load step that starts ``done`` steps into the run."""
-        rows, values, owner = self._constraints(share)
+        walls = self._constraints(share)
         gravity = load(done + share)
         external = self._weight(gravity)
         if self.options.scheme == "incremental":
             before = self._weight(self.state.gravity)
-            unknowns, force, residuals = self._solve_once(external - before, rows, values)
+            unknowns, force, residuals = self._solve_once(external - before, walls)
         elif self.state.control is not None:
-            return self._controlled(share, gravity, external, (rows, values, owner))
+            return self._controlled(share, gravity, external, walls)
         elif self.options.dt:
-            return self._dynamic(share, gravity, external, (rows, values, owner), load(done))
+            return self._dynamic(share, gravity, external, walls, load(done))
         else:
-            unknowns, force, residuals = self._newton(_Problem(external, rows, values, rows.T))
-        reactions = self._reactions(force, rows, owner)
+            unknowns, force, residuals = self._newton(_Problem(external, walls.rows, walls.values, walls.columns))
+        reactions = self._reactions(force, walls)
         return self._finish(self.support.spread(unknowns), share, residuals, reactions, gravity)
 
     def _controlled(self, share: float, gravity: Any, load: ndarray, walls: Walls) -> State:
         """The state where the place of the control has moved on by a share of its increment, and with what load."""
-        rows, values, owner = walls
+        rows, values, owner = walls.rows, walls.values, walls.owner
         control, free = self.state.control, self.support.free
         size = np.abs(load[free]).max(initial=0.0)
         if not size > 0:
@@ -169,53 +178,55 @@ class Step:
         if len(independent_rows(bordered[:, np.flatnonzero(free)], np.zeros(len(owners)), owners)[0]) == len(values):
             raise ValueError(f"control: got the place {control.x.tolist()}, which walls and planes do not let move "
                              f"along {control.direction.tolist()}; choose another place or direction.")
-        columns = hstack([rows.T, csr_array(-load[:, None] / size)], format="csr")
+        columns = hstack([walls.columns, csr_array(-load[:, None] / size)], format="csr")
         problem = _Problem(np.zeros_like(load), bordered, np.append(values, share * control.increment), columns)
         unknowns, force, residuals = self._newton(problem)
         factor = force[-1] / size
         force = np.concatenate([force[:len(load)] - factor * load, force[len(load):-1]])
-        reactions = self._reactions(force, rows, owner)
+        reactions = self._reactions(force, walls)
         state = self._finish(self.support.spread(unknowns), share, residuals, reactions, factor * np.asarray(gravity))
         return replace(state, factor=float(factor), control=control.advanced(self.support, unknowns))
 
     def _dynamic(self, share: float, gravity: Any, external: ndarray, walls: Walls, before: Any) -> State:
         """The state a share of the time step later."""
-        rows, values, owner = walls
+        rows, values = walls.rows, walls.values
         options, old = self.options, self.state.acceleration
         dt = share * options.dt
         inertia = Inertia(self.support, dt, options.numerical_damping, options.solver or solve_direct)
         if old is None:
-            internal = self._iterate(_Problem(external, rows, values, rows.T), 0 * external, 0 * values).force
+            internal = self._iterate(_Problem(external, rows, values, walls.columns), 0 * external, 0 * values).force
             old = inertia.at_rest(self._weight(before) - internal, rows)
         velocity = self.particles.velocity
         inertia.start(velocity, old)
         self.inertial = inertia.stiffness
-        unknowns, force, residuals = self._newton(_Problem(external, rows, values, rows.T, inertia))
-        reactions = self._reactions(force, rows, owner)
+        unknowns, force, residuals = self._newton(_Problem(external, rows, values, walls.columns, inertia))
+        reactions = self._reactions(force, walls)
         state = self._finish(self.support.spread(unknowns), share, residuals, reactions, gravity)
         new = inertia.to_points(inertia.acceleration(unknowns))
         particles = replace(state.particles, velocity=inertia.velocity(velocity, old, new))
         return replace(state, particles=particles, acceleration=new, time=self.state.time + dt)
 
-    def _constraints(self, share: float) -> tuple[csr_array, ndarray, list[tuple[str, int]]]:
-        """Independent wall rows over the solved components, their right-hand sides, and whose they are."""
-        rows: list[csr_array] = []
+    def _constraints(self, share: float) -> Walls:
+        """Independent constraints by walls."""
+        moving, pushing = [], []
         values: list[float] = []
         owner: list[tuple[str, int]] = []
         for wall in self.state.boundary:
             if hasattr(wall, "rows"):
-                new, wanted, components = wall.rows(self.support, share)
-                rows += new
+                rows, columns, wanted, components = wall.rows(self.support, share)
+                moving += rows
+                pushing += columns
                 values += wanted
                 owner += [(wall.name, component) for component in components]
-        if not rows and self.support.free.all() and not self.options.dt:
+        if not values and self.support.free.all() and not self.options.dt:
             raise ValueError("boundary: nothing is fixed and no wall holds the body; add a FixedPlane or a Wall where "
                              "it is.")
-        stacked, targets = stack_rows(rows, self.support.transfer.shape[1]), np.array(values)
-        if not rows:
-            return stacked, targets, owner
-        kept, targets = independent_rows(stacked[:, np.flatnonzero(self.support.free)], targets, owner)
-        return stacked[kept], targets, [owner[row] for row in kept]
+        size, free = self.support.transfer.shape[1], np.flatnonzero(self.support.free)
+        stacked, targets = stack_rows(moving, size), np.array(values)
+        if not values:
+            return Walls(stacked, stacked.T, targets, owner)
+        kept, targets = independent_rows(stacked[:, free], targets, owner)
+        return Walls(stacked[kept], stack_rows(pushing, size)[kept].T, targets, [owner[row] for row in kept])
 
     def _weight(self, gravity: Any) -> ndarray:
         """Body force on the solved components."""
@@ -232,11 +243,10 @@ class Step:
         gravity = check_array("gravity", gravity, gravity.shape)
         return self.support.gather(gravity[:, None] * self.support.mass)
 
-    def _solve_once(self, external: ndarray, rows: csr_array,
-                    values: ndarray) -> tuple[ndarray, ndarray, tuple[float, ...]]:
+    def _solve_once(self, external: ndarray, walls: Walls) -> tuple[ndarray, ndarray, tuple[float, ...]]:
         moduli = self._elastic()
         stiffness = self._stiffness(moduli)
-        unknowns, multipliers = self._linear_solve(stiffness, external, rows, values)
+        unknowns, multipliers = self._linear_solve(stiffness, external, walls.rows, walls.values, walls.columns)
         unbalanced = stiffness @ unknowns - external
         return unknowns, np.concatenate([unbalanced, multipliers]), ()
 
@@ -306,14 +316,14 @@ class Step:
 
     # -- afterwards --------------------------------------------------------------------------------------------------
 
-    def _reactions(self, force: ndarray, rows: csr_array, owner: list[tuple[str, int]]) -> dict[str, ndarray]:
+    def _reactions(self, force: ndarray, walls: Walls) -> dict[str, ndarray]:
         """Force of walls and planes on the body; ``force`` ends with the multipliers."""
         support, dim = self.support, self.particles.dim
-        unbalanced, multipliers = np.split(force, [rows.shape[1]])
-        unbalanced = (unbalanced + rows.T @ multipliers).reshape(-1, dim).T
+        unbalanced, multipliers = np.split(force, [walls.rows.shape[1]])
+        unbalanced = (unbalanced + walls.columns @ multipliers).reshape(-1, dim).T
         grows = self.options.scheme == "incremental"            # there each step only knows what it adds
         reactions = {name: grows * before for name, before in self.state.reactions.items()}
-        for (name, component), multiplier in zip(owner, multipliers):
+        for (name, component), multiplier in zip(walls.owner, multipliers):
             reactions.setdefault(name, np.zeros(dim))[component] -= multiplier
         for plane in self.state.boundary:
             if hasattr(plane, "fixes"):
