@@ -15,8 +15,11 @@ from .points import Points
 
 __all__ = ["INTEGRATIONS", "Field", "OfStencil", "OfTable", "Pair", "Points", "Twin", "find_integration", "on_points"]
 
-INTEGRATIONS = {"points": Points(), "field": Field(), "field2": Field(order=2),
-                "cubic": Field(order=2, reach=2, recover=CubicBasis), "twin": Twin(), "twin2": Twin(order=2, kappa=1.5)}
+INTEGRATIONS = {
+    "points": Points(),
+    "field": Field(), "field2": Field(order=2), "cubic": Field(order=2, reach=2, recover=CubicBasis),
+    "twin": Twin(), "twin2": Twin(order=2, kappa=1.5), "dual": Twin(kappa=None),
+}
 
 
 def find_integration(integration: Any) -> Any:

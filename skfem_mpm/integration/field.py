@@ -83,14 +83,16 @@ class Field:
 
 @dataclass(frozen=True)
 class Twin:
-    """The symmetric twin of field integration, with the strain conjugate to its force: ``integration="twin"``.
+    r"""The symmetric twin of field integration, with the strain conjugate to its force: ``integration="twin"``.
 
     Parameters
     ----------
     order
         Degree of the fit, 1 or 2; 2 wants at least two points per direction in a cell.
     kappa
-        How fast its weights fall with distance, above zero; above 4 points may lose all of their volume.
+        How fast its weights fall with distance, above zero: :math:`e^{-\kappa |\xi|^2}` at :math:`\xi` cells; above 4
+        points may lose all of their volume.  ``None`` for the weights of linear interpolation between the middles of
+        cells: inside a body the strain is then exact for quadratic displacements too.
 
     Raises
     ------
@@ -99,14 +101,15 @@ class Twin:
     """
 
     order: int = 1
-    kappa: float = 4.0
+    kappa: float | None = 4.0
 
     covers = True
 
     def __post_init__(self) -> None:
         if self.order not in (1, 2):
             raise ValueError(f"order: got {self.order!r}, expected 1 or 2.")
-        check_positive("kappa", self.kappa)
+        if self.kappa is not None:
+            check_positive("kappa", self.kappa)
 
     def method(self, method: Method) -> Method:
         """The method whose bases the operators read: force and strain see what finite elements see."""

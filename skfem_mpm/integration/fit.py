@@ -3,8 +3,9 @@ r"""Polynomials fitted to what points carry, cell by cell: stress as a field.
 In a unit (a cell as one part of the body covers it) a field takes the value
 :math:`s(x) = \sum_p R_p(x)\, s_p` with :math:`R_p(x) = \phi(x)^T Q\, \phi_p\, \omega_p`.  Here :math:`\phi` are
 monomials in :math:`\xi = (x - x_c) / h`, :math:`\omega_p = e^{-\kappa |\xi_p|^2}`, and the sum is over the points of
-the cells around.  With :math:`Q = A^{-1}`, :math:`A = \sum_p \omega_p \phi_p \phi_p^T`, that is the weighted
-least-squares fit.
+the cells around.  Without a :math:`\kappa` the weights are :math:`\omega_p = \prod_k \max(0, 1 - |\xi_{pk}|)`, those of
+linear interpolation between the middles of cells, :math:`\sum_c \omega_{cp} x_c = x_p`.  With :math:`Q = A^{-1}`,
+:math:`A = \sum_p \omega_p \phi_p \phi_p^T`, that is the weighted least-squares fit.
 
 As it is, :math:`Q` is built degree by degree, and directions in which the points do not tell a slope (or a curvature)
 apart are left out: the fit is constant along a row of single points, linear across it.  So it needs no fall-back by
@@ -43,7 +44,7 @@ class Fit:
     order
         Degree of the polynomials, 1 or 2.
     kappa
-        How fast weights fall with distance from the middle of a cell.
+        How fast weights fall with distance from the middle of a cell; ``None`` for those of linear interpolation.
 
     Attributes
     ----------
@@ -53,7 +54,7 @@ class Fit:
         ``(units,)``; sum of the weights of the points, zero where there are none.
     """
 
-    def __init__(self, cover: Cover, order: int, kappa: float, reach: int = 1):
+    def __init__(self, cover: Cover, order: int, kappa: float | None, reach: int = 1):
         self.cover, self.order, self.kappa, self.reach = cover, order, kappa, reach
         grid = cover.grid
         index = np.unravel_index(cover.cells, grid.cells.shape)
@@ -75,10 +76,18 @@ class Fit:
         for offset, unit in self.around:
             near = np.flatnonzero(unit >= 0)
             for part in chunks(len(near)):
-                points = near[part]
-                xi = self.local(unit[points], x[:, points])
-                weight = np.exp(-self.kappa * (xi ** 2).sum(axis=0))
-                yield offset, points, unit[points], monomials(xi, self.order) * weight
+                xi = self.local(unit[near[part]], x[:, near[part]])
+                weight = self._weights(xi)
+                felt = weight > 0
+                points = near[part][felt]
+                if len(points):
+                    yield offset, points, unit[points], monomials(xi[:, felt], self.order) * weight[felt]
+
+    def _weights(self, xi: ndarray) -> ndarray:
+        """Weights of points at local coordinates ``(dim, n)``."""
+        if self.kappa is None:
+            return np.maximum(1 - np.abs(xi), 0).prod(axis=0)
+        return np.exp(-self.kappa * (xi ** 2).sum(axis=0))
 
     def _gram(self) -> ndarray:
         nb, units = len(monomial_degrees(self.cover.grid.dim, self.order)), len(self.cover.keys)
