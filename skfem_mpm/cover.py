@@ -121,9 +121,8 @@ class Cover:
         grid, points, dim = self.grid, self.particles, self.grid.dim
         edges = spans_of(points)
         reach = np.abs(edges).sum(axis=1) / 2
-        width = np.array([step.min() for step in grid.steps])[:, None]
         near = ~self._full_mask()
-        for _ in range(max(1, math.ceil(float((reach / width).max())))):
+        for _ in range(reach_in_cells(grid, points)):
             near = wider(near)
         chosen = np.flatnonzero(near[tuple(self.index)])
         low, high = points.x[:, chosen] - reach[:, chosen], points.x[:, chosen] + reach[:, chosen]
@@ -206,6 +205,12 @@ def spans_of(points: Particles) -> ndarray:
         raise ValueError("length: the points have none, but field integration needs their domains; give Particles a "
                          "length (dim, n) or spans (dim, dim, n).")
     return np.einsum("ij,jn->ijn", np.eye(points.dim), points.length)
+
+
+def reach_in_cells(grid: Grid, points: Particles) -> int:
+    """How many cells beyond the host's a domain may reach at most."""
+    width = np.array([step.min() for step in grid.steps])[:, None]
+    return max(1, math.ceil(float((np.abs(spans_of(points)).sum(axis=1) / 2 / width).max())))
 
 
 def parts(grid: Grid, index: ndarray, body: ndarray | None) -> ndarray:

@@ -10,7 +10,7 @@ from numpy import ndarray
 from scipy.sparse import coo_array, csr_array, vstack
 
 from .basis import Method, ParticleBasis
-from .cover import Cover
+from .cover import Cover, reach_in_cells
 from .grid import Edges, Grid, Stencil, available_sides, corner_nodes, whole_cells, wider
 from .particles import Particles
 
@@ -56,7 +56,7 @@ class Support:
         self.edges = edges
         self.particles = particles
         self.ring = ring
-        self.grid = full.window(full.locate(particles.x))
+        self.grid = full.window(full.locate(particles.x), 2 + (reach_in_cells(full, particles) if covers else 0))
         self.index = self.grid.locate(particles.x)
         self.occupied = self.grid.occupied(self.index)
         self.planes = planes = [plane for plane in boundary if hasattr(plane, "fixes")]

@@ -138,9 +138,8 @@ class Step:
         support, size = self.support, self.support.transfer.shape[0]
         if not self.options.ghost:
             return csc_array((size, size))
-        in_play = support.occupied | getattr(support, "covered", False)
         modulus = young(self._elastic().mean(axis=2), self.motion.places)
-        return ghost_stiffness(self.mesh, support, in_play, self.options.ghost * modulus)
+        return ghost_stiffness(self.mesh, support, support.occupied, self.options.ghost * modulus)
 
     def _elastic(self) -> ndarray:
         """Moduli of the unstressed material, ``(m, m, 1)`` or ``(m, m, n)``."""
