@@ -1,6 +1,6 @@
 """Material points for scikit-fem: MPM, GIMP and CMPM on fixed background grids."""
 
-from .basis import METHODS, CMPMBasis, GIMPBasis, Method, ParticleBasis
+from .basis import METHODS, CMPMBasis, CubicBasis, GIMPBasis, Method, ParticleBasis
 from .checks import NotConvergedError, OutsideGridError, UnstableError
 from .elements import (
     ElementHexCMPM,
@@ -18,8 +18,8 @@ from .materials import Hencky, LinearElastic, VonMises
 from .particles import Particles
 
 __all__ = [
-    "CMPMBasis", "Control", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP", "ElementQuadCMPM",
-    "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "METHODS", "Method", "NotConvergedError",
+    "CMPMBasis", "Control", "CubicBasis", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP",
+    "ElementQuadCMPM", "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "METHODS", "Method", "NotConvergedError",
     "OutsideGridError", "ParticleBasis", "Particles", "UnstableError", "VonMises", "axisymmetric",
     "explicit_steps", "implicit_steps", "patch_dofs", "plane_strain", "solid", "uniaxial",
 ]
