@@ -19,7 +19,7 @@ from .particles import Particles
 
 __all__ = [
     "CMPMBasis", "Control", "CubicBasis", "ElementHexCMPM", "ElementHexGIMP", "ElementLineCMPM", "ElementLineGIMP",
-    "ElementQuadCMPM", "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "METHODS", "Method", "NotConvergedError",
-    "OutsideGridError", "ParticleBasis", "Particles", "UnstableError", "VonMises", "axisymmetric",
+    "ElementQuadCMPM", "ElementQuadGIMP", "GIMPBasis", "Hencky", "LinearElastic", "METHODS", "Method",
+    "NotConvergedError", "OutsideGridError", "ParticleBasis", "Particles", "UnstableError", "VonMises", "axisymmetric",
     "explicit_steps", "implicit_steps", "patch_dofs", "plane_strain", "solid", "uniaxial",
 ]

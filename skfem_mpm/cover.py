@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from scipy.ndimage import label
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefLine, RefTet, RefTri
 
@@ -215,6 +214,8 @@ def reach_in_cells(grid: Grid, points: Particles) -> int:
 
 def parts(grid: Grid, index: ndarray, body: ndarray | None) -> ndarray:
     """Part of the body each point belongs to, ``(n,)``: by its ``body`` number, then by cells that hang together."""
+    from scipy.ndimage import label  # only what a run needs is loaded
+
     numbers = np.zeros(index.shape[1]) if body is None else np.ravel(body)
     bodies, which = np.unique(numbers, return_inverse=True)
     found, count = np.empty(len(numbers), dtype=np.int64), 0
