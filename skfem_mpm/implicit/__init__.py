@@ -62,7 +62,9 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     weights
         Integration weights: ``one``, ``eq10``, ``interior``, ``overlap``; see :mod:`skfem_mpm.weights`.
     integration
-        How point stress becomes nodal force: ``points``.
+        How point stress becomes nodal force, and moduli the stiffness: ``points``; double mapping (a reconstruction)
+        ``dm`` and ``dm-g`` of the stiffness alone, ``dm-stress`` and ``dm-g-stress`` of the stress too, see
+        :class:`skfem_mpm.integration.DoubleMapping`.
     edges
         What GIMP does at the edge of the grid: ``ghost``, ``truncate``, ``clip``.
     domains
@@ -74,7 +76,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         integral over its ``domain``.
     tangent
         ``exact`` derivative of the residual (default of ``equilibrated``), or ``conjugate``: the functions that carry
-        force on both sides, as in the paper (default of ``incremental``).
+        force on both sides, as in the paper (default of ``incremental``).  ``dm`` and ``dm-g`` have a stiffness of
+        their own in both cases.
     gravity
         Body force per mass ``(dim,)``, or a function of the (possibly fractional) step that gives it.
     solver
