@@ -1,6 +1,6 @@
 """The tables of docs/results.md about the cylinder, as Markdown: errors, orders, reactions, Newton's method, choices.
 
-    python benchmarks/cylinder_tables.py            all tables, about a minute and a half on 2 cores
+    python benchmarks/cylinder_tables.py            all tables, some minutes on 2 cores
     python benchmarks/cylinder_tables.py --quick    smaller ones, a few seconds
     python benchmarks/cylinder_tables.py --only newton floor
 
@@ -240,6 +240,28 @@ def table_law(quick):
         ("overlap", lambda: cylinder(dim=1, material=law), {"weights": "overlap"})], quick)
 
 
+def table_double(quick):
+    """Double mapping, in equilibrium and in the incremental scheme."""
+    marks, rows = [1, 5] if quick else [1, 10, 50], []
+    for method in METHODS:
+        for integration in ("points", "dm", "dm-g", "dm-stress", "dm-g-stress"):
+            row = []
+            for choices in ({}, {"scheme": "incremental", "strain": "small"}):
+                scene = cylinder(dim=1)
+                try:
+                    states = list(scene.run(method, steps=marks[-1], integration=integration, **choices))
+                except NotConvergedError as failure:
+                    row += [f"stopped after {failure.state.step}"] + ["-"] * len(marks)
+                    continue
+                row += [percent(scene.error(states[n - 1])) for n in marks]
+                passes = [len(state.residuals) for state in states]
+                row.append(f"{np.median(passes):g}, {max(passes)}")
+            rows.append([method, integration, *row[:-1]])
+    table("Double mapping: rms of all points", ["method", "integration", *(f"step {n}" for n in marks),
+                                                "passes: median, most",
+                                                *(f"incremental, step {n}" for n in marks)], rows)
+
+
 def table_edges(quick):
     compare("Edge of the grid",
             [(edges, lambda edges=edges: cylinder(dim=1, edges=edges), {}) for edges in EDGES], quick)
@@ -248,7 +270,7 @@ def table_edges(quick):
 TABLES = {"one": table_one, "orders": table_orders, "reaction": table_reaction, "newton": table_newton,
           "references": table_references, "history": table_history, "incremental": table_incremental,
           "floor": table_floor, "grid": table_grid, "law": table_law, "edges": table_edges, "domains": table_domains,
-          "solved": table_solved}
+          "solved": table_solved, "double": table_double}
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--quick", action="store_true", help="fewer cells, positions and steps")

@@ -60,8 +60,8 @@ def gimp(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True, right: Ma
     >>> value[:, 0].tolist()
     [0.0625, 0.875, 0.0625, 0.0]
     """
-    share, middle = pieces(x, half, knots, left, right)
-    return _joined(share, share * middle, knots[1:] - knots[:-1])
+    share, second = cell_shares(x, half, knots, left, right)
+    return _joined(share, second, knots[1:] - knots[:-1])
 
 
 def ring_gimp(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True,
@@ -86,14 +86,36 @@ def ring_gimp(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True,
     ([0.0, 8.0, 10.0, 0.0], [0.0, 0.5, 0.5, 0.0])
     """
     width = knots[1:] - knots[:-1]
+    value, slope = _joined(*ring_cell_shares(x, half, knots, left, right), width)
+    return value, slope, _joined(*cell_shares(x, half, knots, left, right), width)[0]
+
+
+def cell_shares(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True,
+                right: Mask = True) -> tuple[ndarray, ndarray]:
+    r"""What GIMP is made of, cell by cell: :math:`\frac1{V_p} \int_{\Omega_p \cap \Omega_e} N\,dx` in three cells.
+
+    Returns
+    -------
+    share
+        ``(3, n)``; both nodes of the left neighbour, the host and the right one together; sums to one.
+    second
+        ``(3, n)``; the second node of each cell alone.
+    """
+    share, middle = pieces(x, half, knots, left, right)
+    return share, share * middle
+
+
+def ring_cell_shares(x: ndarray, half: ndarray, knots: ndarray, left: Mask = True,
+                     right: Mask = True) -> tuple[ndarray, ndarray]:
+    """The same along a radius, which is then part of the integrals."""
+    width = knots[1:] - knots[:-1]
     length, middle = _cut(x, half, knots, left, right)
     share = length / length.sum(axis=0)
     radius = knots[:-1] + middle * width
     whole = (share * radius).sum(axis=0)
     weight = share * radius / whole
     # In a piece the function and the radius are straight: their product is that in the middle, and a term of moment.
-    value, slope = _joined(weight, weight * middle + share * length ** 2 / (12 * width * whole), width)
-    return value, slope, _joined(share, share * middle, width)[0]
+    return weight, weight * middle + share * length ** 2 / (12 * width * whole)
 
 
 def _joined(share: ndarray, second: ndarray, width: ndarray) -> tuple[ndarray, ndarray]:

@@ -62,9 +62,10 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     weights
         Integration weights: ``one``, ``eq10``, ``interior``, ``overlap``; see :mod:`skfem_mpm.weights`.
     integration
-        How point stress becomes nodal force: ``points``; ``field``, ``field2``, ``cubic``, ``twin``, ``twin2`` or
-        ``dual``, which fit it and integrate over cells; or an object like those in ``INTEGRATIONS``, see
-        :mod:`skfem_mpm.integration`.
+        How point stress becomes nodal force, and moduli the stiffness: ``points``; ``field``, ``field2``, ``cubic``,
+        ``twin``, ``twin2`` or ``dual``, which fit stress and integrate over cells; double mapping (a reconstruction)
+        ``dm`` and ``dm-g`` of the stiffness alone, ``dm-stress`` and ``dm-g-stress`` of the stress too; or an object like
+        those in ``INTEGRATIONS``, see :mod:`skfem_mpm.integration`.
     edges
         What GIMP does at the edge of the grid: ``ghost``, ``truncate``, ``clip``.
     domains
@@ -76,7 +77,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         integral over its ``domain``.
     tangent
         ``exact`` derivative of the residual (default of ``equilibrated``), or ``conjugate``: the functions that carry
-        force on both sides, as in the paper (default of ``incremental``).
+        force on both sides, as in the paper (default of ``incremental``).  ``dm`` and ``dm-g`` have a stiffness of
+        their own in both cases.
     gravity
         Body force per mass ``(dim,)``, or a function of the (possibly fractional) step that gives it.
     solver

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from ..basis import Method, ParticleBasis
 from ..checks import ENGINES, check_choice, choose_engine
-from ..integration import Pair
+from ..integration import MappedModuli, Pair
 from .state import State
 
 # Points from which numba pays, by dimension and nodes per axis of the widest stencil: below, a run of some tens of
@@ -30,6 +31,8 @@ def engine_of(engine: str, start: State, method: Method) -> str:
 
 def made_for(engine: str, pair: Any) -> Any:
     """Operators as the engine has them; those that are no plain :class:`Pair` stay as they are."""
+    if isinstance(pair, MappedModuli):
+        return replace(pair, pair=made_for(engine, pair.pair))
     if engine == "numpy" or type(pair) is not Pair:
         return pair
     from ..integration.compiled import CompiledPair  # numba is slow to import

@@ -16,7 +16,7 @@ from ..basis import ParticleBasis
 from ..checks import check_array
 from ..cover import spans_of
 from ..ghost import ghost_stiffness, young
-from ..grid import Edges, Grid
+from ..grid import Edges, Grid, gauss_points
 from ..integration import on_points
 from ..kinematics import STRAINS, Kinematics, carried, stretched
 from ..particles import Particles
@@ -28,6 +28,7 @@ from .solve import Factors, bordered, independent_rows, solve_constrained, solve
 from .state import Options, State
 
 MAX_PASSES = 25
+MAX_INEXACT = 500    # with a tangent that is not the derivative of the residual; it must halve every MAX_PASSES
 SHARES = tuple(0.5 ** k for k in range(8))    # at the kinks of plastic flow only short ways along the tangent go down
 
 
@@ -81,10 +82,7 @@ class Step:
         self.support = Support(mesh, _seen(mesh, particles, options), method, options.edges, state.boundary, self.ring,
                                options.integration.covers)
         self.motion = self._motion(particles)
-        self.operator = self._operator(method.force, method.strain)
-        self.tangent_operator = self.operator
-        if options.tangent == "conjugate":
-            self.tangent_operator = self._operator(method.force, method.force)
+        self.operator, self.tangent_operator = self._operators()
         self.soft = self._floor_stiffness() + self._ghost_stiffness()
         self.inertial: Any = None
         self.factors = Factors()
@@ -97,11 +95,19 @@ class Step:
         return STRAINS[self.options.strain](kinematics, particles.dim, self.material, sigma, particles.epsilon,
                                             particles.history)
 
-    def _operator(self, force: type, strain: type) -> Any:
-        support, points = self.support, self.support.particles
-        factor = weights(self.options.weights, support.grid, support.index, points.x, points.volume,
+    def _operators(self) -> tuple[Any, Any]:
+        """Operators of the residual and of its tangent; one object if that is exact."""
+        support, points, options = self.support, self.support.particles, self.options
+        factor = weights(options.weights, support.grid, support.index, points.x, points.volume,
                          points.kinematics.hoop, points.length)
-        return made_for(self.options.engine, self.options.integration.pair(support, force, strain, factor))
+        method, integration = options.method, options.integration
+        pair = integration.pair(support, method.force, method.strain, factor)
+        if options.tangent == "conjugate":
+            tangent = integration.conjugate(support, method.force, factor)
+        else:
+            tangent = integration.stiffness(support, method.force, method.strain, factor, pair)
+        operator = made_for(options.engine, pair)
+        return operator, operator if tangent is pair else made_for(options.engine, tangent)
 
     @cached_property
     def _narrow(self) -> Any:
@@ -119,16 +125,9 @@ class Step:
         cells = np.stack(np.nonzero(support.sound))
         if not self.options.floor or not cells.size:
             return csc_array((size, size))
-        grid, dim = support.grid, support.grid.dim
-        signs = np.indices((2,) * dim).reshape(dim, -1) * 2 - 1
-        offset = signs / np.sqrt(12) + 0.5
-        index = np.repeat(cells, 2 ** dim, axis=1)
-        place = np.tile(offset, cells.shape[1])
-        step = np.stack([grid.steps[k][index[k]] for k in range(dim)])
-        x = np.stack([grid.axes[k][index[k]] for k in range(dim)]) + place * step
-        radius = x[0] if kinematics.hoop else 1.0
-        volume = step.prod(axis=0) / 2 ** dim * radius
-        stencil = grid.linear(x, index)
+        index, x, area = gauss_points(support.grid, cells)
+        volume = area * x[0] if kinematics.hoop else area
+        stencil = support.grid.linear(x, index)
         moduli = self._elastic().mean(axis=2, keepdims=True)
         floor = on_points(kinematics, stencil, stencil, volume, x[0])
         return made_for(self.options.engine, floor).tangent(self.options.floor * moduli, support.number, size)
@@ -265,7 +264,8 @@ class Step:
         at = self._iterate(problem, np.zeros(problem.rows.shape[1]), np.zeros(len(problem.values)))
         problem = replace(problem, before=float(np.linalg.norm(at.force)))
         residuals: list[float] = []
-        for _ in range(MAX_PASSES):
+        passes = MAX_PASSES if self.tangent_operator is self.operator else MAX_INEXACT
+        for _ in range(passes):
             stiffness = self._stiffness(at.response.tangent())
             problem = replace(problem, diagonal=stiffness.diagonal())
             change, target = self._linear_solve(stiffness, problem.external - at.force, problem.rows,
@@ -274,7 +274,9 @@ class Step:
             residuals.append(at.residual)
             if at.residual <= self.options.tolerance:
                 return at.unknowns, np.concatenate([at.force - problem.external, at.multipliers]), tuple(residuals)
-        raise Retry(f"the residual stayed at {residuals[-1]:.1e} after {MAX_PASSES} Newton passes")
+            if len(residuals) > MAX_PASSES and residuals[-1] > residuals[-1 - MAX_PASSES] / 2:
+                break
+        raise Retry(f"the residual stayed at {residuals[-1]:.1e} after {len(residuals)} Newton passes")
 
     def _line_search(self, problem: _Problem, at: _Iterate, change: ndarray, target: ndarray, first: bool) -> _Iterate:
         """Take the largest of a few shares of the change that lowers the residual; in the first pass the whole."""
@@ -395,7 +397,8 @@ class _Recovery:
 def _needed(particles: Particles, options: Options) -> Particles:
     """Only what the scene requires: velocity with inertia, domains if a basis, weights or the integration read them."""
     method = options.method
-    uses_boxes = any(basis.reads_domains for basis in (method.mass, method.strain, method.force))
+    readers = (method.mass, method.strain, method.force, options.integration)
+    uses_boxes = any(each.reads_domains for each in readers)
     return replace(particles, velocity=particles.velocity if options.dt else None,
                    length=particles.length if uses_boxes or options.weights == "overlap" else None,
                    spans=spans_of(particles) if options.integration.covers else None)

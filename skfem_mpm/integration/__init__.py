@@ -9,16 +9,22 @@ from typing import Any
 
 from ..basis import CubicBasis
 from ..checks import check_choice
+from .double import DoubleMapping, MappedModuli
 from .field import Field, Twin
 from .pair import OfStencil, OfTable, Pair, on_points
 from .points import Points
 
-__all__ = ["INTEGRATIONS", "Field", "OfStencil", "OfTable", "Pair", "Points", "Twin", "find_integration", "on_points"]
+__all__ = [
+    "INTEGRATIONS", "DoubleMapping", "Field", "MappedModuli", "OfStencil", "OfTable", "Pair", "Points", "Twin",
+    "find_integration", "on_points",
+]
 
 INTEGRATIONS = {
     "points": Points(),
     "field": Field(), "field2": Field(order=2), "cubic": Field(order=2, reach=2, recover=CubicBasis),
     "twin": Twin(), "twin2": Twin(order=2, kappa=1.5), "dual": Twin(kappa=None),
+    "dm": DoubleMapping(), "dm-g": DoubleMapping("gimp"),
+    "dm-stress": DoubleMapping(stress=True), "dm-g-stress": DoubleMapping("gimp", stress=True),
 }
 
 

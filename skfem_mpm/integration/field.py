@@ -53,7 +53,8 @@ class Field:
     reach: int = 1
     recover: type[ParticleBasis] | None = None
 
-    covers = True       # whether cells are integrated that hold no points
+    covers = True           # whether cells are integrated that hold no points
+    reads_domains = False   # whether the points need a length; their spans stand for it
 
     def __post_init__(self) -> None:
         for name in ("order", "reach"):
@@ -80,6 +81,10 @@ class Field:
         """Operators of the tangent: the same."""
         return pair
 
+    def conjugate(self, support: Any, force: type, weight: ndarray) -> Pair:
+        """Operators of the tangent with the functions that carry force on both sides."""
+        return self.pair(support, force, force, weight)
+
 
 @dataclass(frozen=True)
 class Twin:
@@ -104,6 +109,7 @@ class Twin:
     kappa: float | None = 4.0
 
     covers = True
+    reads_domains = False
 
     def __post_init__(self) -> None:
         if self.order not in (1, 2):
@@ -129,12 +135,16 @@ class Twin:
         """Operators of the tangent: the same."""
         return pair
 
+    def conjugate(self, support: Any, force: type, weight: ndarray) -> Pair:
+        """Operators of the tangent with the functions that carry force on both sides."""
+        return self.pair(support, force, force, weight)
+
 
 def check_unweighted(weight: ndarray) -> None:
-    """Refuse weights of points, which a field does not have."""
+    """Refuse weights of points, which an integration over cells does not have."""
     if not (weight == 1).all():
-        raise ValueError("weights: got weights of points with field integration, which integrates over cells; expected "
-                         "weights='one'.")
+        raise ValueError("weights: got weights of points with an integration over cells, such as 'field' or 'dm'; "
+                         "expected weights='one'.")
 
 
 def keep_positive(fit: Fit) -> None:

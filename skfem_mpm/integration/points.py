@@ -15,7 +15,8 @@ from .pair import Pair, on_points
 class Points:
     r"""Points are the quadrature, :math:`L_{Ip} = W_p V_p \nabla N_I(x_p)`: ``integration="points"``."""
 
-    covers = False      # whether cells are integrated that hold no points
+    covers = False          # whether cells are integrated that hold no points
+    reads_domains = False   # whether the points need a length
 
     def method(self, method: Method) -> Method:
         """The method whose bases the operators read."""
@@ -40,3 +41,7 @@ class Points:
     def stiffness(self, support: Any, force: type, strain: type, weight: ndarray, pair: Pair) -> Pair:
         """Operators of the tangent, if they are not those of force and strain: here they are."""
         return pair
+
+    def conjugate(self, support: Any, force: type, weight: ndarray) -> Pair:
+        """Operators of the tangent with the functions that carry force on both sides."""
+        return self.pair(support, force, force, weight)
