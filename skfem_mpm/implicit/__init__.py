@@ -64,8 +64,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     integration
         How point stress becomes nodal force, and moduli the stiffness: ``points``; ``field``, ``field2``, ``cubic``,
         ``twin``, ``twin2`` or ``dual``, which fit stress and integrate over cells; double mapping (a reconstruction)
-        ``dm`` and ``dm-g`` of the stiffness alone, ``dm-stress`` and ``dm-g-stress`` of the stress too; or an object like
-        those in ``INTEGRATIONS``, see :mod:`skfem_mpm.integration`.
+        ``dm`` and ``dm-g`` of the stiffness alone, ``dm-stress`` and ``dm-g-stress`` of the stress too; or an object
+        like those in ``INTEGRATIONS``, see :mod:`skfem_mpm.integration`.
     edges
         What GIMP does at the edge of the grid: ``ghost``, ``truncate``, ``clip``.
     domains
