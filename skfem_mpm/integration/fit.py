@@ -23,6 +23,7 @@ from ..cover import Cover
 from ..grid import chunks
 
 FLAT = (0.0, 0.004, 4e-4)       # of each degree: eigenvalues of A below this share of its weight are damped
+FAR = 300.0                     # exponents of weights end here: next to much smaller cells none of them is zero
 
 
 def monomials(xi: ndarray, order: int) -> ndarray:
@@ -77,7 +78,7 @@ class Fit:
             for part in chunks(len(near)):
                 points = near[part]
                 xi = self.local(unit[points], x[:, points])
-                weight = np.exp(-self.kappa * (xi ** 2).sum(axis=0))
+                weight = np.exp(-np.minimum(self.kappa * (xi ** 2).sum(axis=0), FAR))
                 yield offset, points, unit[points], monomials(xi, self.order) * weight
 
     def _gram(self) -> ndarray:
