@@ -20,7 +20,7 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefLine, RefTet, RefTri
 
 from .checks import OutsideGridError
-from .grid import Grid, whole_cells, wider
+from .grid import Grid, whole_cells
 from .particles import Particles
 
 SIMPLEX = {1: RefLine, 2: RefTri, 3: RefTet}
@@ -98,9 +98,9 @@ class Cover:
         return found
 
     def _surrounded(self, keys: ndarray) -> ndarray:
-        """Which occupied units have all cells around them occupied by their part, behind a plane or off the grid."""
+        """Which of some units have all cells around them among these, or behind a plane."""
         shape = self.grid.cells.shape
-        behind = np.zeros(shape, dtype=bool)
+        behind, closed = np.zeros(shape, dtype=bool), self._closed()
         for plane in self.planes:
             behind |= ~whole_cells(~plane.behind(self.grid).reshape(self.grid.vertices.shape))
         cell, part = np.divmod(keys, self.nparts)
@@ -108,10 +108,19 @@ class Cover:
         full = np.ones(len(keys), dtype=bool)
         for offset in itertools.product((-1, 0, 1), repeat=self.grid.dim):
             other = place + np.array(offset)[:, None]
-            inside = ((other >= 0) & (other < np.array(shape)[:, None])).all(axis=0)
+            beyond = np.stack([other < 0, other >= np.array(shape)[:, None]])
             number = np.ravel_multi_index(tuple(other), shape, mode="clip")
-            full &= ~inside | behind.ravel()[number] | np.isin(number * self.nparts + part, keys)
+            known = behind.ravel()[number] | np.isin(number * self.nparts + part, keys)
+            full &= np.where(beyond.any(axis=(0, 1)), (beyond & closed[:, :, None]).any(axis=(0, 1)), known)
         return full
+
+    def _closed(self) -> ndarray:
+        """Whether a plane stands where each axis starts and ends, ``(2, dim)``."""
+        closed = np.zeros((2, self.grid.dim), dtype=bool)
+        for plane in self.planes:
+            axis = self.grid.axes[plane.axis]
+            closed[:, plane.axis] |= np.abs(axis[[0, -1]] - plane.at) <= 1e-9 * np.diff(axis).min()
+        return closed
 
     # -- pieces of domains -------------------------------------------------------------------------------------------
 
@@ -120,10 +129,10 @@ class Cover:
         grid, points, dim = self.grid, self.particles, self.grid.dim
         edges = spans_of(points)
         reach = np.abs(edges).sum(axis=1) / 2
-        near = ~self._full_mask()
+        deep = self.full                    # units that have only full ones within reach
         for _ in range(reach_in_cells(grid, points)):
-            near = wider(near)
-        chosen = np.flatnonzero(near[tuple(self.index)])
+            deep = deep[self._surrounded(deep)] if len(deep) else deep
+        chosen = np.flatnonzero(~np.isin(self.key, deep))
         low, high = points.x[:, chosen] - reach[:, chosen], points.x[:, chosen] + reach[:, chosen]
         self._check_inside(chosen, low, high)
         pieces, owner = simplices(points.x[:, chosen], edges[:, :, chosen])
@@ -133,21 +142,16 @@ class Cover:
         for plane in self.planes:
             beyond = plane.side * (pieces.mean(axis=1)[plane.axis] - plane.at) > 0
             pieces[plane.axis, :, beyond] = 2 * plane.at - pieces[plane.axis, :, beyond]
+            pieces, owner = cut(pieces, owner, plane.axis, grid.axes[plane.axis])
         inside = ~grid.outside(pieces.mean(axis=1))
         return pieces[:, :, inside], owner[inside]
-
-    def _full_mask(self) -> ndarray:
-        mask = np.zeros(self.grid.cells.shape, dtype=bool)
-        mask.ravel()[self.full // self.nparts] = True
-        return mask
 
     def _check_inside(self, chosen: ndarray, low: ndarray, high: ndarray) -> None:
         """Refuse domains that leave the grid, but for rounding and at planes."""
         for k, axis in enumerate(self.grid.axes):
-            ends = [plane.at for plane in self.planes if plane.axis == k]
             slack = LOST * (high[k] - low[k])
-            for beyond, end in (((low[k] < axis[0] - slack), axis[0]), ((high[k] > axis[-1] + slack), axis[-1])):
-                if beyond.any() and not np.isclose(end, ends, rtol=0, atol=1e-9 * np.diff(axis).min()).any():
+            for beyond, closed in zip((low[k] < axis[0] - slack, high[k] > axis[-1] + slack), self._closed()[:, k]):
+                if beyond.any() and not closed:
                     point = int(chosen[np.flatnonzero(beyond)[0]])
                     place = ", ".join(repr(float(value)) for value in self.particles.x[:, point])
                     raise OutsideGridError(f"the domain of point {point} at ({place}) leaves the grid "
@@ -216,7 +220,10 @@ def parts(grid: Grid, index: ndarray, body: ndarray | None) -> ndarray:
     """Part of the body each point belongs to, ``(n,)``: by its ``body`` number, then by cells that hang together."""
     from scipy.ndimage import label  # only what a run needs is loaded
 
-    numbers = np.zeros(index.shape[1]) if body is None else np.ravel(body)
+    if body is not None and np.shape(body) != index.shape[1:]:
+        raise ValueError(f"fields['body']: got shape {np.shape(body)}, expected {index.shape[1:]}, one number "
+                         "per point that says which body it belongs to.")
+    numbers = np.zeros(index.shape[1]) if body is None else body
     bodies, which = np.unique(numbers, return_inverse=True)
     found, count = np.empty(len(numbers), dtype=np.int64), 0
     for number in range(len(bodies)):
@@ -242,8 +249,7 @@ def cut(pieces: ndarray, owner: ndarray, axis: int, lines: ndarray) -> tuple[nda
     An edge with its ends on both sides of a line is split where they meet, which splits the simplex in two; that is
     repeated until no edge crosses.
     """
-    done: list[ndarray] = []
-    whose: list[ndarray] = []
+    done, whose = [pieces[:, :, :0]], [owner[:0]]
     slack = SLIVER * np.diff(lines).min()
     while pieces.shape[2]:
         along = pieces[axis]

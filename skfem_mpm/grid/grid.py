@@ -180,7 +180,8 @@ class Grid:
                         for j in range(self.dim) if j != k for side in (0, 1)]
                 possible = open_side & beyond & np.logical_and.reduce([np.ones_like(beyond), *same])
                 shift[k] += sign * possible[tuple(index)]
-        return shift
+        middle, host = sides[(..., *(index + shift))], sides[(..., *index)]
+        return shift * (middle >= (host | (shift != 0))).all(axis=(0, 1))      # where axes meet, all of the patch
 
     def gimp(self, x: ndarray, index: ndarray, length: ndarray, edges: Edges = "ghost",
              sides: ndarray | None = None, ring: bool = False) -> Stencil:

@@ -4,8 +4,8 @@ In a unit (a cell as one part of the body covers it) a field takes the value
 :math:`s(x) = \sum_p R_p(x)\, s_p` with :math:`R_p(x) = \phi(x)^T Q\, \phi_p\, \omega_p`.  Here :math:`\phi` are
 monomials in :math:`\xi = (x - x_c) / h`, :math:`\omega_p = e^{-\kappa |\xi_p|^2}`, and the sum is over the points of
 the cells around.  Without a :math:`\kappa` the weights are :math:`\omega_p = \prod_k \max(0, 1 - |\xi_{pk}|)`, those of
-linear interpolation between the middles of cells, :math:`\sum_c \omega_{cp} x_c = x_p`.  With :math:`Q = A^{-1}`,
-:math:`A = \sum_p \omega_p \phi_p \phi_p^T`, that is the weighted least-squares fit.
+linear interpolation between the middles of equal cells, :math:`\sum_c \omega_{cp} x_c = x_p`.  With
+:math:`Q = A^{-1}`, :math:`A = \sum_p \omega_p \phi_p \phi_p^T`, that is the weighted least-squares fit.
 
 As it is, :math:`Q` is built degree by degree, and directions in which the points do not tell a slope (or a curvature)
 apart are left out: the fit is constant along a row of single points, linear across it.  So it needs no fall-back by
@@ -24,6 +24,7 @@ from ..cover import Cover
 from ..grid import chunks
 
 FLAT = (0.0, 0.004, 4e-4)       # of each degree: eigenvalues of A below this share of its weight are damped
+FAR = 300.0                     # exponents of weights end here: next to much smaller cells none of them is zero
 
 
 def monomials(xi: ndarray, order: int) -> ndarray:
@@ -87,7 +88,7 @@ class Fit:
         """Weights of points at local coordinates ``(dim, n)``."""
         if self.kappa is None:
             return np.maximum(1 - np.abs(xi), 0).prod(axis=0)
-        return np.exp(-self.kappa * (xi ** 2).sum(axis=0))
+        return np.exp(-np.minimum(self.kappa * (xi ** 2).sum(axis=0), FAR))
 
     def _gram(self) -> ndarray:
         nb, units = len(monomial_degrees(self.cover.grid.dim, self.order)), len(self.cover.keys)
