@@ -18,11 +18,14 @@ from ..cover import spans_of
 from ..ghost import ghost_stiffness, young
 from ..grid import Edges, Grid
 from ..integration import on_points
+from ..integration.dilation import AveragedPair, Means, shares_of
 from ..kinematics import STRAINS, Kinematics, carried, stretched
+from ..materials import LinearElastic
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
 from .engine import made_for
+from .fbar import Known, averaged, cell_shares
 from .inertia import Inertia
 from .solve import Factors, bordered, independent_rows, solve_constrained, solve_direct
 from .state import Options, State
@@ -71,8 +74,8 @@ class Step:
         self.ring = options.radius == "domain" and particles.kinematics.hoop
         self.support = Support(mesh, _seen(mesh, particles, options), method, options.edges, state.boundary, self.ring,
                                options.integration.covers)
-        self.motion = self._motion(particles)
         self.operator = self._operator(method.force, method.strain)
+        self.motion = self._motion(particles)
         self.tangent_operator = self.operator
         if options.tangent == "conjugate":
             self.tangent_operator = self._operator(method.force, method.force)
@@ -85,14 +88,20 @@ class Step:
         sigma = particles.sigma
         if sigma is None:
             sigma = np.zeros((kinematics.ncomp, particles.n))
-        return STRAINS[self.options.strain](kinematics, particles.dim, self.material, sigma, particles.epsilon,
-                                            particles.history)
+        motion = STRAINS[self.options.strain](kinematics, particles.dim, self.material, sigma, particles.epsilon,
+                                              particles.history)
+        return motion if self.options.remedy == "none" else averaged(motion, self.operator.means)
 
     def _operator(self, force: type, strain: type) -> Any:
         support, points = self.support, self.support.particles
         factor = weights(self.options.weights, support.grid, support.index, points.x, points.volume,
                          points.kinematics.hoop, points.length)
-        return made_for(self.options.engine, self.options.integration.pair(support, force, strain, factor))
+        pair = made_for(self.options.engine, self.options.integration.pair(support, force, strain, factor))
+        if self.options.remedy == "none":
+            return pair
+        shares = cell_shares(support.grid, force, points.x, support.index, points.length, self.options.edges,
+                             self.ring)
+        return AveragedPair(pair, Means(shares, pair.volume))
 
     @cached_property
     def _narrow(self) -> Any:
@@ -101,7 +110,10 @@ class Step:
             return None
         support, points = self.support, self.particles
         stencil = support.grid.linear(points.x, support.index)
-        return made_for(self.options.engine, on_points(points.kinematics, stencil, stencil, points.volume, points.x[0]))
+        pair = made_for(self.options.engine, on_points(points.kinematics, stencil, stencil, points.volume, points.x[0]))
+        if self.options.remedy == "none":
+            return pair
+        return AveragedPair(pair, Means(shares_of(support.grid, stencil), pair.volume))
 
     def _floor_stiffness(self) -> csc_array:
         """Soft stiffness of whole cells, with two Gauss points per axis; ordinary finite elements."""
@@ -120,9 +132,21 @@ class Step:
         radius = x[0] if kinematics.hoop else 1.0
         volume = step.prod(axis=0) / 2 ** dim * radius
         stencil = grid.linear(x, index)
-        moduli = self._elastic().mean(axis=2, keepdims=True)
+        moduli = self._floor_moduli()
         floor = on_points(kinematics, stencil, stencil, volume, x[0])
         return made_for(self.options.engine, floor).tangent(self.options.floor * moduli, support.number, size)
+
+    def _floor_moduli(self) -> ndarray:
+        """Mean moduli of the unstressed material; where dilation is averaged, without lateral contraction.
+
+        Nearly incompressible moduli would lock in the floor.
+        """
+        moduli = self._elastic().mean(axis=2, keepdims=True)
+        if self.options.remedy == "none":
+            return moduli
+        zero = np.zeros((self.particles.kinematics.ncomp, 1))
+        law = LinearElastic(E=young(moduli[:, :, 0], self.motion.places), nu=0.0)
+        return law.tangent(zero, zero, zero[:0], self.motion.places)
 
     def _ghost_stiffness(self) -> csc_array:
         """Penalty on jumps of the normal gradient at cut cells."""
@@ -235,17 +259,17 @@ class Step:
     def _solve_once(self, external: ndarray, rows: csr_array,
                     values: ndarray) -> tuple[ndarray, ndarray, tuple[float, ...]]:
         moduli = self._elastic()
-        stiffness = self._stiffness(moduli)
+        stiffness = self._stiffness(moduli if self.options.remedy == "none" else self.motion.at_rest(moduli))
         unknowns, multipliers = self._linear_solve(stiffness, external, rows, values)
         unbalanced = stiffness @ unknowns - external
         return unknowns, np.concatenate([unbalanced, multipliers]), ()
 
-    def _stiffness(self, moduli: ndarray) -> csr_array:
+    def _stiffness(self, moduli: Any) -> csr_array:
         operator, narrow = self.tangent_operator, self._narrow
         self.near = partial(self._assembled, narrow, moduli) if narrow else None
         return self._assembled(operator, moduli)
 
-    def _assembled(self, operator: Any, moduli: ndarray) -> csr_array:
+    def _assembled(self, operator: Any, moduli: Any) -> csr_array:
         support = self.support
         full = operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.soft
         if support.slaved:
@@ -326,11 +350,11 @@ class Step:
                 reactions: dict[str, ndarray], gravity: Any) -> State:
         support, old = self.support, self.particles
         gradient = self.operator.gradient(u)
-        ratio = self.motion.stretch(gradient)
-        if not ratio.min() > 0:
+        if not self.motion.stretch(gradient).min() > 0:
             raise Retry("a point turned inside out")
         response = self.motion.respond(gradient)
-        particles = replace(old, x=old.x + support.motion.to_points(u, plain=True), volume=old.volume * ratio,
+        volume = old.volume * response.ratio            # by the dilation that the stress knows of
+        particles = replace(old, x=old.x + support.motion.to_points(u, plain=True), volume=volume,
                             sigma=response.sigma, epsilon=response.epsilon,
                             history=response.history if self.material.history else None)
         particles = self._with_domains(particles, gradient)
@@ -339,10 +363,15 @@ class Step:
         boundary = tuple(item.advanced(share) for item in self.state.boundary)
         basis = self.options.method.strain
         recovery = _Recovery(support.grid, basis, self.options.edges, support.sides_of(basis), support.occupied, u,
-                             STRAINS[self.options.strain], old.kinematics, self.material, self.ring)
+                             STRAINS[self.options.strain], old.kinematics, self.material, self.ring,
+                             self.options.method.force, self._dilation(gradient))
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
                      scheme=self.options.scheme, gravity=gravity, time=self.state.time, engine=self.options.engine,
                      _recovery=recovery)
+
+    def _dilation(self, gradient: ndarray) -> ndarray | None:
+        """Mean dilation of the cells, if that is what points see."""
+        return None if self.options.remedy == "none" else self.operator.means.of_cells(self.motion.dilation(gradient))
 
     def _with_domains(self, particles: Particles, gradient: ndarray) -> Particles:
         """The points with what the step makes of the domains that they carry."""
@@ -368,6 +397,8 @@ class _Recovery:
     kinematics: Kinematics
     material: Any
     ring: bool
+    force: type[ParticleBasis]
+    dilation: ndarray | None     # of cells, if points see that instead of their own
 
     def __call__(self, x: ndarray, length: ndarray | None) -> ndarray:
         x = check_array("x", x, (len(self.u), None))
@@ -380,6 +411,9 @@ class _Recovery:
         operator = on_points(self.kinematics, stencil, stencil, np.ones(x.shape[1]), x[0])
         zero = np.zeros((self.kinematics.ncomp, x.shape[1]))
         motion = self.strain(self.kinematics, len(x), self.material, zero, None)
+        if self.dilation is not None:
+            shares = cell_shares(self.grid, self.force, x, index, length, self.edges, self.ring)
+            motion = averaged(motion, Known(shares @ self.dilation))
         return motion.respond(operator.gradient(self.u)).sigma
 
 
