@@ -27,6 +27,7 @@ __all__ = ["Control", "State", "implicit_steps", "solve_cg", "solve_direct"]
 
 SCHEMES = ("equilibrated", "incremental")
 TANGENTS = ("exact", "conjugate")
+REMEDIES = ("none", "bbar")
 NUMBER: Any = Real             # of a type that mypy takes for any: it does not know that these can be compared
 
 
@@ -36,7 +37,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
                    integration: Any = "points", edges: Edges = "ghost", domains: str = "fixed", radius: str = "point",
                    tangent: str | None = None, gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6,
                    ghost: float = 0.0, tolerance: float = 1e-11, max_cuts: int = 6, control: Control | None = None,
-                   dt: float | None = None, numerical_damping: float = 0.0, engine: str = "auto") -> Iterator[State]:
+                   dt: float | None = None, numerical_damping: float = 0.0, engine: str = "auto",
+                   remedy: str = "none") -> Iterator[State]:
     r"""Bring a body to equilibrium load step by load step, or move it in time; yields a :class:`State` after each.
 
     Parameters
@@ -108,6 +110,10 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         frequencies most, to first order in ``dt``.
     engine
         ``numpy``, ``numba`` (the extra ``fast``), or ``auto``: numba for many points.  Both agree to rounding.
+    remedy
+        Against volumetric locking: ``none``, or ``bbar``, where points answer to the mean dilation of their cells:
+        B-bar with ``strain="small"``, F-bar in a symmetric form with ``"logarithmic"``; see
+        :mod:`skfem_mpm.implicit.fbar`.  Not in one dimension without hoop strain.
 
     Raises
     ------
@@ -135,10 +141,11 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     """
     options = _check(method, strain, scheme, weights, integration, edges, tangent, floor, ghost, tolerance, solver)
     _check_extras(control, gravity, dt, numerical_damping, scheme)
-    for name, value, choices in [("domains", domains, DOMAINS), ("radius", radius, RADII)]:
+    for name, value, choices in [("domains", domains, DOMAINS), ("radius", radius, RADII),
+                                 ("remedy", remedy, REMEDIES)]:
         check_choice(name, value, choices)
     options = replace(options, domains=domains, radius=radius, dt=float(dt or 0.0),
-                      numerical_damping=float(numerical_damping))
+                      numerical_damping=float(numerical_damping), remedy=remedy)
     for name, count, least in [("steps", steps, 1), ("max_cuts", max_cuts, 0)]:
         if not (isinstance(count, Integral) and count >= least):
             raise ValueError(f"{name}: got {count!r}, expected a whole number of at least {least}.")
@@ -148,6 +155,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         raise ValueError(f"scheme: got 'incremental' with {type(material).__name__}; expected a law whose Cauchy "
                          "stress follows small strains, such as LinearElastic.")
     state = replace(_initial(start, boundary, free=dt is not None), control=control)
+    _check_remedy(options, state.particles)
     options = replace(options, engine=engine_of(engine, state, options.method))
     load = gravity if callable(gravity) else lambda step: gravity
     return _run(mesh, state, material, options, int(steps), load, max_cuts)
@@ -190,6 +198,18 @@ def _check_extras(control: Any, gravity: Any, dt: Any, numerical_damping: Any, s
     if scheme == "incremental" and not (control is None and dt is None):
         raise ValueError(f"scheme: got 'incremental' with {'dt' if control is None else 'control'}; expected "
                          "'equilibrated'.")
+
+
+def _check_remedy(options: Options, particles: Particles) -> None:
+    """Refuse means over cells where there are none, or where they would take all strain."""
+    if options.remedy == "none":
+        return
+    if len(particles.kinematics.rows(particles.dim)) == 1:
+        raise ValueError(f"remedy: got {options.remedy!r} with {particles.kinematics.name} points, which have no "
+                         "strain but dilation and do not lock; use 'none'.")
+    if options.edges == "truncate":
+        raise ValueError(f"remedy: got {options.remedy!r} with edges='truncate', where nodes are missing that say how "
+                         "much of a domain is in which cell; use edges='ghost'.")
 
 
 def _initial(start: Any, boundary: Any, free: bool) -> State:

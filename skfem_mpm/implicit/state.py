@@ -144,3 +144,4 @@ class Options:
     dt: float = 0.0                         # without inertia
     numerical_damping: float = 0.0
     engine: str = "numpy"
+    remedy: str = "none"

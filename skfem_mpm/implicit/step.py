@@ -12,18 +12,21 @@ from numpy import ndarray
 from scipy.sparse import csc_array, csr_array, hstack
 from skfem import Mesh
 
-from ..basis import ParticleBasis
 from ..checks import check_array
 from ..cover import spans_of
 from ..ghost import ghost_stiffness, young
-from ..grid import Edges, Grid, gauss_points
+from ..grid import Grid, gauss_points
 from ..integration import on_points
-from ..kinematics import STRAINS, Kinematics, carried, stretched
+from ..integration.dilation import AveragedPair, Means, shares_of
+from ..kinematics import STRAINS, carried, stretched
+from ..materials import LinearElastic
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
 from .engine import made_for
+from .fbar import averaged, cell_shares
 from .inertia import Inertia
+from .recovery import Recovery
 from .solve import Factors, bordered, independent_rows, solve_constrained, solve_direct
 from .state import Options, State
 
@@ -81,8 +84,8 @@ class Step:
         self.ring = options.radius == "domain" and particles.kinematics.hoop
         self.support = Support(mesh, _seen(mesh, particles, options), method, options.edges, state.boundary, self.ring,
                                options.integration.covers)
-        self.motion = self._motion(particles)
         self.operator, self.tangent_operator = self._operators()
+        self.motion = self._motion(particles)
         self.soft = self._floor_stiffness() + self._ghost_stiffness()
         self.inertial: Any = None
         self.factors = Factors()
@@ -92,8 +95,9 @@ class Step:
         sigma = particles.sigma
         if sigma is None:
             sigma = np.zeros((kinematics.ncomp, particles.n))
-        return STRAINS[self.options.strain](kinematics, particles.dim, self.material, sigma, particles.epsilon,
-                                            particles.history)
+        motion = STRAINS[self.options.strain](kinematics, particles.dim, self.material, sigma, particles.epsilon,
+                                              particles.history)
+        return motion if self.options.remedy == "none" else averaged(motion, self.operator.means)
 
     def _operators(self) -> tuple[Any, Any]:
         """Operators of the residual and of its tangent; one object if that is exact."""
@@ -106,8 +110,20 @@ class Step:
             tangent = integration.conjugate(support, method.force, factor)
         else:
             tangent = integration.stiffness(support, method.force, method.strain, factor, pair)
-        operator = made_for(options.engine, pair)
-        return operator, operator if tangent is pair else made_for(options.engine, tangent)
+        operator = self._averaged(made_for(options.engine, pair))
+        return operator, operator if tangent is pair else self._averaged(made_for(options.engine, tangent))
+
+    def _averaged(self, pair: Any) -> Any:
+        """Operators that take means of dilation over cells, if that is wanted."""
+        if self.options.remedy == "none":
+            return pair
+        if not hasattr(pair, "volume"):
+            raise ValueError("remedy: got 'bbar' with moduli that are mapped to Gauss points, which have no cell "
+                             "means; expected another integration, such as 'points', 'dm-stress' or 'dual'.")
+        points, support, options = self.support.particles, self.support, self.options
+        shares = cell_shares(support.grid, options.method.force, points.x, support.index, points.length, options.edges,
+                             self.ring)
+        return AveragedPair(pair, Means(shares, pair.volume))
 
     @cached_property
     def _narrow(self) -> Any:
@@ -116,7 +132,10 @@ class Step:
             return None
         support, points = self.support, self.particles
         stencil = support.grid.linear(points.x, support.index)
-        return made_for(self.options.engine, on_points(points.kinematics, stencil, stencil, points.volume, points.x[0]))
+        pair = made_for(self.options.engine, on_points(points.kinematics, stencil, stencil, points.volume, points.x[0]))
+        if self.options.remedy == "none":
+            return pair
+        return AveragedPair(pair, Means(shares_of(support.grid, stencil), pair.volume))
 
     def _floor_stiffness(self) -> csc_array:
         """Soft stiffness of whole cells, with two Gauss points per axis; ordinary finite elements."""
@@ -128,9 +147,21 @@ class Step:
         index, x, area = gauss_points(support.grid, cells)
         volume = area * x[0] if kinematics.hoop else area
         stencil = support.grid.linear(x, index)
-        moduli = self._elastic().mean(axis=2, keepdims=True)
+        moduli = self._floor_moduli()
         floor = on_points(kinematics, stencil, stencil, volume, x[0])
         return made_for(self.options.engine, floor).tangent(self.options.floor * moduli, support.number, size)
+
+    def _floor_moduli(self) -> ndarray:
+        """Mean moduli of the unstressed material; where dilation is averaged, without lateral contraction.
+
+        Nearly incompressible moduli would lock in the floor.
+        """
+        moduli = self._elastic().mean(axis=2, keepdims=True)
+        if self.options.remedy == "none":
+            return moduli
+        zero = np.zeros((self.particles.kinematics.ncomp, 1))
+        law = LinearElastic(E=young(moduli[:, :, 0], self.motion.places), nu=0.0)
+        return law.tangent(zero, zero, zero[:0], self.motion.places)
 
     def _ghost_stiffness(self) -> csc_array:
         """Penalty on jumps of the normal gradient at cut cells."""
@@ -243,17 +274,17 @@ class Step:
 
     def _solve_once(self, external: ndarray, walls: Walls) -> tuple[ndarray, ndarray, tuple[float, ...]]:
         moduli = self._elastic()
-        stiffness = self._stiffness(moduli)
+        stiffness = self._stiffness(moduli if self.options.remedy == "none" else self.motion.at_rest(moduli))
         unknowns, multipliers = self._linear_solve(stiffness, external, walls.rows, walls.values, walls.columns)
         unbalanced = stiffness @ unknowns - external
         return unknowns, np.concatenate([unbalanced, multipliers]), ()
 
-    def _stiffness(self, moduli: ndarray) -> csr_array:
+    def _stiffness(self, moduli: Any) -> csr_array:
         operator, narrow = self.tangent_operator, self._narrow
         self.near = partial(self._assembled, narrow, moduli) if narrow else None
         return self._assembled(operator, moduli)
 
-    def _assembled(self, operator: Any, moduli: ndarray) -> csr_array:
+    def _assembled(self, operator: Any, moduli: Any) -> csr_array:
         support = self.support
         full = operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.soft
         if support.slaved:
@@ -337,11 +368,11 @@ class Step:
                 reactions: dict[str, ndarray], gravity: Any) -> State:
         support, old = self.support, self.particles
         gradient = self.operator.gradient(u)
-        ratio = self.motion.stretch(gradient)
-        if not ratio.min() > 0:
+        if not self.motion.stretch(gradient).min() > 0:
             raise Retry("a point turned inside out")
         response = self.motion.respond(gradient)
-        particles = replace(old, x=old.x + support.motion.to_points(u, plain=True), volume=old.volume * ratio,
+        volume = old.volume * response.ratio            # by the dilation that the stress knows of
+        particles = replace(old, x=old.x + support.motion.to_points(u, plain=True), volume=volume,
                             sigma=response.sigma, epsilon=response.epsilon,
                             history=response.history if self.material.history else None)
         particles = self._with_domains(particles, gradient)
@@ -349,11 +380,16 @@ class Step:
         displacement[:, support.grid.vertices.ravel()] = u
         boundary = tuple(item.advanced(share) for item in self.state.boundary)
         basis = self.options.method.strain
-        recovery = _Recovery(support.grid, basis, self.options.edges, support.sides_of(basis), support.occupied, u,
-                             STRAINS[self.options.strain], old.kinematics, self.material, self.ring)
+        recovery = Recovery(support.grid, basis, self.options.edges, support.sides_of(basis), support.occupied, u,
+                             STRAINS[self.options.strain], old.kinematics, self.material, self.ring,
+                             self.options.method.force, self._dilation(gradient))
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
                      scheme=self.options.scheme, gravity=gravity, time=self.state.time, engine=self.options.engine,
                      _recovery=recovery)
+
+    def _dilation(self, gradient: ndarray) -> ndarray | None:
+        """Mean dilation of the cells, if that is what points see."""
+        return None if self.options.remedy == "none" else self.operator.means.of_cells(self.motion.dilation(gradient))
 
     def _with_domains(self, particles: Particles, gradient: ndarray) -> Particles:
         """The points with what the step makes of the domains that they carry."""
@@ -363,35 +399,6 @@ class Step:
         if spans is not None:
             spans = carried(spans, gradient)
         return replace(particles, length=length, spans=spans)
-
-
-@dataclass(frozen=True, eq=False)
-class _Recovery:
-    """Recovers the stress increment of a step at any positions; keeps the grid, not the points."""
-
-    grid: Grid
-    basis: type[ParticleBasis]
-    edges: Edges
-    sides: ndarray | None
-    occupied: ndarray
-    u: ndarray
-    strain: type
-    kinematics: Kinematics
-    material: Any
-    ring: bool
-
-    def __call__(self, x: ndarray, length: ndarray | None) -> ndarray:
-        x = check_array("x", x, (len(self.u), None))
-        index = self.grid.locate(x)
-        empty = np.flatnonzero(~self.occupied[tuple(index)])
-        if len(empty):
-            raise ValueError(f"x: got point {empty[0]} at {x[:, empty[0]]}, in a cell that held no points in this "
-                             "step; expected positions in the body.")
-        stencil = self.basis.stencil_of(self.grid, x, index, length, self.edges, self.sides, ring=self.ring)
-        operator = on_points(self.kinematics, stencil, stencil, np.ones(x.shape[1]), x[0])
-        zero = np.zeros((self.kinematics.ncomp, x.shape[1]))
-        motion = self.strain(self.kinematics, len(x), self.material, zero, None)
-        return motion.respond(operator.gradient(self.u)).sigma
 
 
 def _needed(particles: Particles, options: Options) -> Particles:

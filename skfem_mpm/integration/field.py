@@ -73,9 +73,9 @@ class Field:
         check_unweighted(weight)
         points = support.particles
         table, _ = field_table(Fit(support.cover, self.order, self.kappa, self.reach), points.kinematics.hoop)
-        of_force = OfTable(support.index - self.reach, table, support.grid.vertices.shape)
+        of_force = OfTable(support.index - self.reach, table / points.volume, support.grid.vertices.shape)
         of_strain = OfStencil(support.stencil(strain), points.x[0] if points.kinematics.hoop else None)
-        return Pair(points.kinematics, of_force, of_strain, np.ones(points.n))
+        return Pair(points.kinematics, of_force, of_strain, points.volume)
 
     def stiffness(self, support: Any, force: type, strain: type, weight: ndarray, pair: Pair) -> Pair:
         """Operators of the tangent: the same."""
