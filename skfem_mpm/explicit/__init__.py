@@ -14,11 +14,13 @@ from skfem import Mesh
 from ..basis import Method, find_method
 from ..checks import ENGINES, check_array, check_choice
 from ..grid import EDGES, Edges
+from ..integration import Points, Twin, find_integration
 from ..kinematics import DOMAINS, RADII, RATES
 from ..particles import Particles
 from .engine import make_run
 from .run import Run
 from .state import LEDGER, Choices, ExplicitState, remaps
+from .twin import conjugate
 
 __all__ = ["ExplicitState", "explicit_steps"]
 
@@ -32,11 +34,11 @@ NUMBER: Any = Real
 def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
                    boundary: Sequence[Any] | None = None, *, steps: int, every: int = 1,
                    every_seconds: float | None = None, method: str | Method = "mpm", strain: str = "small",
-                   integrator: str = "musl", edges: Edges = "ghost", domains: str = "fixed",
-                   radius: str = "point", flip: float = 1.0, xpic: int = 0, tpic: bool = False,
-                   remedy: str = "none", damping: float = 0.0, gravity: Any = None, ramp: float = 0.0,
-                   dt: float | None = None, safety: float = 0.5, refresh: int | None = None, leaving: str = "error",
-                   engine: str = "auto", threads: int = 1) -> Iterator[ExplicitState]:
+                   integrator: str = "musl", edges: Edges = "ghost", domains: str | None = None,
+                   radius: str = "point", integration: Any = "points", flip: float = 1.0, xpic: int = 0,
+                   tpic: bool = False, remedy: str = "none", damping: float = 0.0, gravity: Any = None,
+                   ramp: float = 0.0, dt: float | None = None, safety: float = 0.5, refresh: int | None = None,
+                   leaving: str = "error", engine: str = "auto", threads: int = 1) -> Iterator[ExplicitState]:
     """Move a body in time; yields an :class:`ExplicitState` every ``every`` steps and after the last one.
 
     Parameters
@@ -64,9 +66,13 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     domains
         Boxes that GIMP averages over: ``fixed`` (edges stay as they are) or ``stretched`` (they follow the stretch
         along the axes and the points' volume; one that outgrows the neighbours of its cell is seen cut off there).
+        If not given, ``stretched`` with the twin, for which they say what cells at the surface hold, else ``fixed``.
     radius
         In axial symmetry, what GIMP takes as the radius: that of the ``point``, or the one under the integral over its
         ``domain``.
+    integration
+        How stress becomes force: ``points`` (they are the quadrature), or ``twin``, ``twin2`` or a ``Twin`` (stress is
+        a field fitted to the points and integrated over cells, strain the conjugate one; the method then only maps).
     flip
         Share of FLIP in the velocity update, the rest is PIC.
     xpic
@@ -126,7 +132,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     >>> bool(abs(next(run).particles.velocity).max() < 1.0)
     True
     """
-    method = find_method(method)
+    method, integration = _integration(find_method(method), integration)
+    domains = domains or ("stretched" if integration.covers else "fixed")
     for name, value, names in [("strain", strain, RATES), ("integrator", integrator, INTEGRATORS),
                                ("edges", edges, EDGES), ("domains", domains, DOMAINS), ("radius", radius, RADII),
                                ("remedy", remedy, REMEDIES), ("leaving", leaving, LEAVING),
@@ -151,9 +158,18 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
         warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow, at any time step; "
                       "with 'cmpm-c' and 'gimp' they do not.", UserWarning, stacklevel=2)
     choices = Choices(method, strain, integrator, edges, flip, xpic, bool(tpic), damping, load, dt, safety,
-                      int(refresh), remedy, leaving, domains, radius)
+                      int(refresh), remedy, leaving, domains, radius, integration)
     run = make_run(engine, int(threads), mesh, _start(start, boundary, int(refresh)), material, choices)
     return _yield(run, int(steps), int(every), every_seconds)
+
+
+def _integration(method: Method, integration: Any) -> tuple[Method, Any]:
+    """How stress becomes force, and the method whose bases a step then reads."""
+    found = find_integration(integration)
+    if not isinstance(found, (Points, Twin)):
+        raise ValueError(f"integration: got {integration!r}, whose strain is not conjugate to its forces, so that "
+                         "elastic waves would grow; expected 'points', 'twin', 'twin2' or a Twin.")
+    return (conjugate(method) if found.covers else method), found
 
 
 def _check_numbers(counts: dict[str, tuple[Any, int]], shares: dict[str, Any], spans: dict[str, Any]) -> None:

@@ -10,10 +10,12 @@ import numpy as np
 from numpy import ndarray
 from skfem import Mesh
 
+from ..basis import ParticleBasis
 from ..kernels import chunks, dilation, domains
 from ..kernels.crew import Crew
 from ..kernels.options import TILE
 from ..materials import LinearElastic, VonMises
+from .fields import Fields
 from .pairs import stable_step
 from .run import POINT_ARRAYS, Run
 from .state import Choices, ExplicitState, remaps
@@ -41,10 +43,10 @@ class CompiledRun(Run):
         self.diagonal = [row for row, (i, j) in enumerate(self.kinematics.rows(dim)) if i == j]
         self.smooth = choices.remedy == "bbar"
         self.together = (method.force is method.mass and choices.integrator != "usf" and not choices.tpic
-                         and not self.smooth)
+                         and not (self.smooth or self.covers))
         self._choose_law()
         self.fused = (method.strain is method.mass and choices.integrator == "usl" and self.law != "python"
-                      and not (self.smooth or self.stretches))
+                      and not (self.smooth or self.stretches or self.covers))
         self.sorted = start.order is not None
         self.order = np.arange(self.x.shape[1]) if start.order is None else start.order
         self.ahead = self.x
@@ -74,11 +76,13 @@ class CompiledRun(Run):
         """Arrays for these points, which may have become fewer."""
         n = self.x.shape[1]
         gradients = max(len(self.kinematics.rows(self.dim)), len(self.rows))
-        kept = self.law == "python" or self.smooth or self.stretches
+        kept = self.law == "python" or self.smooth or self.stretches or self.covers
         self.grad = np.empty((gradients if kept else 0, n))
         self.taken = np.zeros(-(-n // TILE))
         self.tables = Tables(self.grid, self.choices, self.planes, self.length, n, self.crew, self.ring)
         self.sums = Sums(self.tables, self.crew)
+        if self.covers:
+            self.fields = Fields(self.sums, self.kinematics, self.choices.integration)
         self.tables.measure(self.x, self.velocity)
 
     def _sort(self) -> None:
@@ -104,13 +108,13 @@ class CompiledRun(Run):
         if self.step % SORT_EVERY == 0 or not self.sorted:
             self._sort()
         self._check_domains()
-        tables, sums = self.tables, self.sums
-        tables.place(self.x, sums.buffer("occupied", sums.window.nnodes, dtype=np.uint8) if tables.others else NOTHING)
+        sums = self.sums
+        self._place()
         if self.step - self.refreshed >= choices.refresh:
             self._find_step()
         gravity = self._gravity()
         if self.smooth:
-            self.weights = self.volume.copy()           # of means over cells: those at the start of the step
+            self.weights = (self.fields.volume if self.covers else self.volume).copy()   # as the step starts
         force, column = self._to_nodes(NONE if gravity is None else gravity)
         moved, lost = sums.accelerate(force, column, self.dt, self.damping)
         self.work["damped"] += lost * self.dt
@@ -122,6 +126,15 @@ class CompiledRun(Run):
         elif choices.integrator == "usl" and not self.fused:
             self._update(moved)
         self._look(gravity)
+
+    def _place(self) -> None:
+        """Find the cells of the points and what they see of the grid."""
+        tables, sums = self.tables, self.sums
+        wanted = self.covers or tables.others
+        occupied = sums.buffer("occupied", sums.window.nnodes, dtype=np.uint8) if wanted else NOTHING
+        tables.place(self.x, occupied)
+        if self.covers:
+            self.fields.place(self.x, self.length, self.volume, occupied)
 
     def _look(self, gravity: ndarray | None) -> None:
         """Whether points are where and what they should be after the step."""
@@ -177,7 +190,7 @@ class CompiledRun(Run):
             self._make_room()                           # for more nodes, or fewer
         tables = self.tables
         tables.length = self.length
-        if tables.wide:
+        if tables.wide and not (self.covers and choices.method.mass is ParticleBasis):
             tables.length = self._seen()
             x, length, back = self.x, tables.length, np.argsort(self.order)
             edges = choices.edges if choices.method.mass.reads_domains else "clip"
@@ -190,7 +203,8 @@ class CompiledRun(Run):
             return self._refresh(self._nodes())
         self._map_points(NONE)
         self._take_step(stable_step(self.sums, self.material, self.volume, self.mass,
-                                    remaps(choices.integrator, choices.tpic), last))
+                                    remaps(choices.integrator, choices.tpic), last,
+                                    self.fields if self.covers else None))
 
     # -- to the nodes and back ---------------------------------------------------------------------------------------
 
@@ -214,17 +228,24 @@ class CompiledRun(Run):
 
     def _to_nodes(self, gravity: ndarray) -> tuple[ndarray, int]:
         """Mass, momentum and force of the nodes: force is an array, and the column where it starts."""
-        sums, tables, dim = self.sums, self.tables, self.dim
+        sums = self.sums
         nodal = self._map_points(gravity)
         if self.together:
-            return nodal, 1 + dim
+            return nodal, 1 + self.dim
         if self.choices.integrator == "usf":
             self._update(sums.velocity(nodal, 1))
-        force = sums.map(self.transfer.p2g_force, "force", dim, tables.force, self.volume, self._bearing(), self.x,
-                         self.hoop)
+        force = self._internal()
         if len(gravity):
             force += self.weight
         return sums.gather(force), 0
+
+    def _internal(self) -> ndarray:
+        """Internal force at the nodes."""
+        stress = self._bearing()
+        if self.covers:
+            return self.fields.force(stress)
+        return self.sums.map(self.transfer.p2g_force, "force", self.dim, self.tables.force, self.volume, stress, self.x,
+                             self.hoop)
 
     def _bearing(self) -> ndarray:
         """The stress that bears the body: with mean stresses of cells if so chosen."""
@@ -308,8 +329,11 @@ class CompiledRun(Run):
         if not len(grad):
             return self._apply_law("mapped", strain.base, strain.w, nodal, frame, self.x, self.dt, strain.kt,
                                    self.sigma, self.volume, self.hoop)
-        self.crew(self.transfer.gradient, strain.base, strain.w, nodal, frame, self.x, self.dt, self.hoop, grad,
-                  strain.kt)
+        if self.covers:
+            self.fields.gradient(nodal, self.dt, grad)
+        else:
+            self.crew(self.transfer.gradient, strain.base, strain.w, nodal, frame, self.x, self.dt, self.hoop, grad,
+                      strain.kt)
         if self.smooth:
             grad[self.diagonal] += self._excess(grad[self.diagonal])
         if self.law == "python":

@@ -29,7 +29,7 @@ class Couplings:
 
     def __init__(self, force: Operators, strain: Operators):
         self.force, self.strain = force, strain
-        ours, theirs, shape = force.stencil, strain.stencil, force.stencil.shape
+        ours, theirs, shape = force, strain, force.shape
         self.nnodes, dim = int(np.prod(shape)), len(shape)
         self.stride = np.cumprod((1, *shape[:0:-1]))[::-1]
         key = self.stride @ ours.base * self.nnodes + self.stride @ theirs.base
@@ -41,10 +41,10 @@ class Couplings:
         self.count = np.diff(self.begin, append=len(key))
         first = self.order[self.begin]
         shift = (ours.base - theirs.base)[:, first]
-        self.reach = int(max(shift.max() + ours.w.shape[2], theirs.w.shape[2] - shift.min())) - 1
+        self.reach = int(max(shift.max() + ours.width, theirs.width - shift.min())) - 1
         self.span = 2 * self.reach + 1
         power = self.span ** np.arange(dim)[::-1]
-        rows, columns = (power @ np.indices((table.w.shape[2],) * dim).reshape(dim, -1) for table in (ours, theirs))
+        rows, columns = (power @ np.indices((table.width,) * dim).reshape(dim, -1) for table in (ours, theirs))
         self.pair = rows[:, None] - columns
         self.start = strain.places[first].astype(np.int64) * self.span ** dim + (power @ (shift + self.reach))[:, None]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from skfem import Mesh
 
-from ..basis import CMPMBasis, GIMPBasis, Method, ParticleBasis
+from ..basis import CMPMBasis, GIMPBasis, ParticleBasis
 from ..checks import choose_engine
 from .run import Run
 from .state import Choices, ExplicitState
@@ -33,16 +33,17 @@ def make_run(engine: str, threads: int, mesh: Mesh, start: ExplicitState, materi
     if engine == "numba" and not known:
         raise ValueError("engine: got 'numba' with a basis of your own, which has no compiled stencil; use "
                          "engine='numpy'.")
-    if choose_engine(engine, known and _pays(start, method)) == "numpy":
+    if choose_engine(engine, known and _pays(start, choices)) == "numpy":
         return Run(mesh, start, material, choices)
     from .compiled import CompiledRun  # numba is slow to import
     return CompiledRun(mesh, start, material, choices, threads)
 
 
-def _pays(start: ExplicitState, method: Method) -> bool:
+def _pays(start: ExplicitState, choices: Choices) -> bool:
     """Whether numba pays; a run that goes on keeps its engine."""
     if start.step:
         return start.engine == "numba"
-    particles = start.particles
-    width = 2 if {method.mass, method.strain, method.force} == {ParticleBasis} else 4
+    particles, method = start.particles, choices.method
+    narrow = {method.mass, method.strain, method.force} == {ParticleBasis} and not choices.integration.covers
+    width = 2 if narrow else 4
     return particles.n >= WORTHWHILE[particles.dim, width]

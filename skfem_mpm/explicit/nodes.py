@@ -75,6 +75,10 @@ class Nodes:
                                             ring=self.ring)
         return Operators(self.kinematics, stencil, self.x[0])
 
+    def integrated(self, volume: ndarray) -> ndarray:
+        """What stress is multiplied with to make it force: the volumes of the points."""
+        return volume
+
     # -- which nodes carry, and which follow -------------------------------------------------------------------------
 
     def _around(self, nodes: ndarray) -> tuple[ndarray, ndarray]:

@@ -30,14 +30,18 @@ class Operators:
 
     def __init__(self, kinematics: Kinematics, stencil: Stencil, radius: ndarray):
         self.stencil, self.radius = stencil, radius
-        self.dim = len(stencil.shape)
+        self.base, self.width, self.shape = stencil.base, stencil.w.shape[2], stencil.shape
+        self._take_rows(kinematics)
+
+    def _take_rows(self, kinematics: Kinematics) -> None:
+        self.dim = len(self.shape)
         self.rows = kinematics.rows(self.dim)
         self.hoop = kinematics.hoop
 
     @cached_property
     def places(self) -> ndarray:
         """Nodes of each point, ``(n, K**dim)``."""
-        out = np.empty((self.stencil.n, self.stencil.w.shape[2] ** self.dim), dtype=np.int32)
+        out = np.empty((self.stencil.n, self.width ** self.dim), dtype=np.int32)
         for part in chunks(self.stencil.n):
             self.stencil.nodes(part, out=out[part].T)
         return out
@@ -46,15 +50,19 @@ class Operators:
     def _starts(self) -> ndarray:
         return np.arange(0, self.places.size + 1, self.places.shape[1], dtype=np.int32)
 
+    def _matrix(self, table: ndarray) -> csr_array:
+        """A table ``(n, K**dim)`` as a matrix ``(n, nnodes)``."""
+        shape = len(self.places), int(np.prod(self.shape))
+        return csr_array((table.ravel(), self.places.ravel(), self._starts), shape=shape)
+
     def _matrices(self, slopes: Iterable[int], row: int = 0) -> list[csr_array]:
         """Slopes along these axes at the points, from nodal numbers, ``(n, nnodes)``; values for the axis -1."""
-        w, dim, nnodes = self.stencil.w, self.dim, int(np.prod(self.stencil.shape))
+        w, dim = self.stencil.w, self.dim
         tables = {axis: np.empty(self.places.shape) for axis in slopes}
         for part in chunks(self.stencil.n):
             for axis, table in tables.items():
                 outer([w[k, 1 if k == axis else row, :, part] for k in range(dim)], out=table[part].T)
-        return [csr_array((table.ravel(), self.places.ravel(), self._starts), shape=(self.stencil.n, nnodes))
-                for table in tables.values()]
+        return [self._matrix(table) for table in tables.values()]
 
     @cached_property
     def value(self) -> csr_array:
@@ -72,10 +80,16 @@ class Operators:
         return self._matrices(range(self.dim))
 
     @cached_property
+    def matrices(self) -> list[csr_array]:
+        """What a gradient is made of, ``(n, nnodes)`` each: slopes along the axes, then value over radius if needed."""
+        if not self.hoop:
+            return self.slopes
+        return self.slopes + [self._matrix(self.plain.data.reshape(self.places.shape) / self.radius[:, None])]
+
+    @cached_property
     def tables(self) -> list[ndarray]:
-        """What a gradient is made of, ``(n, K**dim)`` each: slopes along the axes, then value over radius if needed."""
-        tables = [matrix.data.reshape(self.places.shape) for matrix in self.slopes]
-        return tables + ([self.plain.data.reshape(self.places.shape) / self.radius[:, None]] if self.hoop else [])
+        """The same as tables ``(n, K**dim)``."""
+        return [matrix.data.reshape(self.places.shape) for matrix in self.matrices]
 
     @property
     def terms(self) -> list[list[tuple[int, int]]]:
@@ -97,14 +111,12 @@ class Operators:
 
     def gradient(self, nodal: ndarray) -> ndarray:
         r""":math:`G u`: one row per gradient row."""
-        rows = [self.slopes[j] @ nodal[i] for i, j in self.rows[:self.dim ** 2]]
-        return np.stack(rows + ([self.plain @ nodal[0] / self.radius] if self.hoop else []))
+        out = np.empty((len(self.rows), len(self.places)))
+        for row, terms in zip(nodal, self.terms):
+            for q, l in terms:
+                out[q] = self.matrices[l] @ row
+        return out
 
     def force(self, stress: ndarray) -> ndarray:
         r""":math:`L (V \sigma)`: nodal force from stress times volume, one row per gradient row."""
-        out = np.zeros((self.dim, int(np.prod(self.stencil.shape))))
-        for row, (i, j) in zip(stress, self.rows[:self.dim ** 2]):
-            out[i] += self.slopes[j].T @ row
-        if self.hoop:
-            out[0] += self.plain.T @ (stress[-1] / self.radius)
-        return out
+        return np.stack([sum(self.matrices[l].T @ stress[q] for q, l in terms) for terms in self.terms])

@@ -9,6 +9,7 @@ from numpy import ndarray
 
 from ..kernels import bound
 from .bound import power_bound
+from .fields import REACH, Fields
 from .sums import Sums
 from .tables import Table
 
@@ -35,12 +36,13 @@ class Pairs:
         return self.sums.gather(y[pad:pad + n, None], signed=False)[:, 0]
 
 
-def stable_step(sums: Sums, law: Any, volume: ndarray, mass: ndarray, remaps: bool, last: bool) -> float:
-    """A time step that is stable for sure on a frozen layout of an isotropic body."""
+def stable_step(sums: Sums, law: Any, volume: ndarray, mass: ndarray, remaps: bool, last: bool,
+                fields: Fields | None = None) -> float:
+    """A time step that is stable for sure on a frozen layout of an isotropic body; perhaps with stress as a field."""
     tables = sums.tables
     rows = np.empty((len(tables.limits), 2), dtype=np.int64)
     bound.rows_of_tiles(tables.limits, tables.knots, tables.sizes, sums.window.frame, tables.reach, rows)
-    stiffness = _stiffness(sums, law, volume, rows)
+    stiffness = _of_fields(sums, law, fields, rows) if fields else _stiffness(sums, law, volume, rows)
     inertia = _inertia(sums, mass, rows) if remaps else None
     active = sums.active.astype(bool)
     scale = np.divide(1.0, np.sqrt(sums.mass[:, 0]), out=np.zeros(len(active)), where=active)
@@ -61,6 +63,12 @@ def _stiffness(sums: Sums, law: Any, volume: ndarray, rows: ndarray) -> Pairs:
     sums.crew(kernel, force.base, force.w, strain.base, strain.w, volume, law.lam, law.G, sums.window.frame, rows,
               pairs.reach, same, pairs.table,
               force.kt, strain.kt)
+    return pairs
+
+
+def _of_fields(sums: Sums, law: Any, fields: Fields, rows: ndarray) -> Pairs:
+    pairs = Pairs(sums, REACH, True)
+    fields.norms(law.lam, law.G, rows, pairs.table)
     return pairs
 
 

@@ -14,9 +14,11 @@ from ..checks import OutsideGridError, UnstableError, check_positive
 from ..grid import Grid
 from ..kinematics import RATES, check_law, stretched
 from .bound import stable_step
+from .boxes import Boxes
 from .dilation import CellMeans
 from .nodes import Nodes
 from .state import LEDGER, Choices, ExplicitState, remaps
+from .twin import TwinNodes
 
 POINT_ARRAYS = ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope")
 RUNAWAY = 10.0     # a body with so many times the energy it was given is unstable
@@ -32,6 +34,7 @@ class Run:
         check_law(material)
         self.particles = particles = replace(start.particles, spans=None)       # what does not change of them
         self.kinematics, self.dim = particles.kinematics, particles.dim
+        self.covers = choices.integration.covers
         self._check(start)
         self.planes, self.last = start.boundary, start
         self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
@@ -39,7 +42,8 @@ class Run:
         self.kept = start.kept
         self.warned = start.dt == choices.dt               # a run that goes on has been told
         method = choices.method
-        reads_domains = any(basis.reads_domains for basis in (method.mass, method.strain, method.force))
+        bases = (method.mass, method.strain, method.force)
+        reads_domains = self.covers or any(basis.reads_domains for basis in bases)
         n, ncomp = particles.n, self.kinematics.ncomp
         finite = choices.strain == "logarithmic"
         self.x, self.volume, self.mass = particles.x.copy(), particles.volume.copy(), particles.mass
@@ -70,6 +74,9 @@ class Run:
         particles, grid = start.particles, self.grid
         grid.check_dim(particles.dim)
         check_positive("mass", particles.mass)
+        if self.covers and particles.length is None:
+            raise ValueError("length: the points have none, but field integration needs their domains; give Particles "
+                             "a length (dim, n).")
         rows, wanted = 0 if particles.history is None else len(particles.history), len(self.material.history)
         if rows not in (0, wanted):
             raise ValueError(f"history: got {rows} row(s), expected {wanted} for {type(self.material).__name__} "
@@ -96,7 +103,9 @@ class Run:
         nodes = self._nodes()
         if self.step - self.refreshed >= choices.refresh:
             self._refresh(nodes)
-        means = CellMeans(nodes.grid, nodes.mapping, self.volume) if choices.remedy == "bbar" else None
+        means = None
+        if choices.remedy == "bbar":
+            means = CellMeans(nodes.grid, nodes.mapping, nodes.integrated(self.volume))
         momentum = self._momentum(nodes)
         before = nodes.velocity(momentum)
         if choices.integrator == "usf":
@@ -114,8 +123,12 @@ class Run:
         self._leave()
 
     def _nodes(self) -> Nodes:
-        return Nodes(self.grid, self.kinematics, self.x, self.mass, self._seen(), self.choices.method,
-                     self.choices.edges, self.planes, self.ring)
+        seen, choices = self._seen(), self.choices
+        known = (self.grid, self.kinematics, self.x, self.mass, seen, choices.method, choices.edges, self.planes,
+                 self.ring)
+        if not self.covers:
+            return Nodes(*known)
+        return TwinNodes(*known, Boxes(self.x, seen, self.volume, self.kinematics), choices.integration)
 
     def _seen(self) -> Any:
         """Domains as functions see them: stretched ones that outgrow the neighbours of their cell are cut off."""
@@ -138,7 +151,7 @@ class Run:
         stress = self.sigma[self.symmetric]
         if means:
             stress = means.smooth(stress)
-        force = -nodes.force.force(self.volume * stress)
+        force = -nodes.force.force(nodes.integrated(self.volume) * stress)
         gravity = self._gravity()
         if gravity is not None:
             force += gravity[:, None] * nodes.lumped
@@ -208,7 +221,7 @@ class Run:
         """Find the stable time step of this layout."""
         zero = np.zeros_like(self.sigma)
         moduli = self.material.tangent(zero, zero, self.history, self.kinematics.rows(self.dim))
-        volume = self.volume
+        volume = nodes.integrated(self.volume)
         if self.material.kirchhoff:           # what is linear in strain is Cauchy stress times the volume ratio
             volume = volume * np.exp(-self.epsilon[:3].sum(axis=0))
         integrator, tpic = self.choices.integrator, self.choices.tpic

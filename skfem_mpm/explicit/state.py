@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from ..basis import Method
 from ..grid import Edges
+from ..integration import Points
 from ..particles import Particles
 
 LEDGER = ("start", "peak", "external", "plastic", "damped", "removed")
@@ -93,6 +94,7 @@ class Choices:
     leaving: str
     domains: str = "fixed"
     radius: str = "point"
+    integration: Any = Points()
 
 
 def remaps(integrator: str, tpic: bool) -> bool:

@@ -55,6 +55,11 @@ class Sums:
 
     def map(self, kernel: Any, name: str, columns: int, table: Table, *amounts: Any) -> ndarray:
         """Sums at the nodes, ``(nnodes, columns)``; zero where no point is."""
+        return self.map_with(kernel, name, columns, (table.base, table.w, *amounts, self.window.frame), (table.kt,))
+
+    def map_with(self, kernel: Any, name: str, columns: int, before: tuple[Any, ...],
+                 after: tuple[Any, ...]) -> ndarray:
+        """The same of kernels that read more than a table: arguments ``before`` and ``after`` those of the sums."""
         window, rows, crew = self.window, self.tables.rows, self.crew
         out = self.buffer(name, window.nnodes, columns)
         if crew.threads == 1:            # one chunk after the other; the copy keeps what two share
@@ -62,7 +67,7 @@ class Sums:
             copies = self.buffer(f"copies {columns}", 1, widest, columns)
         else:
             copies = self.buffer(f"copies {columns}", CHUNKS, window.nnodes, columns)
-        crew(kernel, table.base, table.w, *amounts, window.frame, out, copies, rows, table.kt)
+        crew(kernel, *before, out, copies, rows, *after)
         if crew.threads > 1:
             crew(chunks.sum_bands, window.frame, copies, rows, out)
         return out

@@ -59,7 +59,7 @@ class Tables:
         self.quick = method.mass is ParticleBasis and equal
         changing = choices.domains == "stretched"
         self.alike = length is not None and not changing and bool((length == length[:, :1]).all())
-        self.reach = int(bases != {ParticleBasis})
+        self.reach = int(choices.integration.covers or bases != {ParticleBasis})
         self.others = tuple(sorted(bases - {method.mass}, key=lambda basis: basis.__name__))
         if CMPMBasis in bases:
             self.cmpm_table = cmpm_table(grid.axes)

@@ -30,7 +30,8 @@ def rows_of_tiles(limits, knots, sizes, frame, reach, rows):
 
 
 @njit(**INLINE)
-def _norm(block, dim, lam, shear):
+def norm(block, dim, lam, shear):
+    """Norm of a block of the stiffness from its sum of products of slopes."""
     trace = total = most = 0.0
     for i in range(dim * dim):
         most += abs(block[i])
@@ -124,7 +125,7 @@ def norms2(force, factors, strain, others, volume, lam, shear, frame, rows, reac
                         _add2(force, factors, strain, others, p, volume, frame, a, reach, same, m, kf, ks)
         for j in range(size):
             for slot in range(out.shape[1]):
-                out[r * size + j, slot] = _norm(m[j, slot], 2, lam, shear)
+                out[r * size + j, slot] = norm(m[j, slot], 2, lam, shear)
 
 
 @njit(**OPTIONS)
@@ -143,7 +144,7 @@ def norms3(force, factors, strain, others, volume, lam, shear, frame, rows, reac
                         _add3(force, factors, strain, others, p, volume, frame, a, reach, same, m, kf, ks)
         for j in range(size):
             for slot in range(out.shape[1]):
-                out[r * size + j, slot] = _norm(m[j, slot], 3, lam, shear)
+                out[r * size + j, slot] = norm(m[j, slot], 3, lam, shear)
 
 
 @njit(**INLINE)
