@@ -62,8 +62,9 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     weights
         Integration weights: ``one``, ``eq10``, ``interior``, ``overlap``; see :mod:`skfem_mpm.weights`.
     integration
-        How point stress becomes nodal force: ``points``; ``field``, ``field2``, ``cubic``, ``twin``, ``twin2``, ``dual``,
-        which fit it and integrate over cells; or an object as in ``INTEGRATIONS``, see :mod:`skfem_mpm.integration`.
+        How point stress becomes nodal force: ``points``; ``field``, ``field2``, ``cubic``, ``twin``, ``twin2``,
+        ``dual``, which fit it and integrate over cells; or an object as in ``INTEGRATIONS``, see
+        :mod:`skfem_mpm.integration`.
     edges
         What GIMP does at the edge of the grid: ``ghost``, ``truncate``, ``clip``.
     domains
