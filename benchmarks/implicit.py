@@ -3,10 +3,12 @@
 A block of 2-D points (4 per cell, plane strain, logarithmic strain) under its own weight.  Prints one JSON line per
 method and size.  Seconds are ``[smallest, median, largest]`` of the repeats; both engines take turns in one run, and
 ``ratio`` is how many times faster numba is, by the smallest.  ``table`` is a pair with 16 nodes per point and a number
-of its own for each, as in field integration.  A pass is respond, gradient_force, moduli, tangent and one solve: the
-direct one, or ``first`` and ``later`` solve of a step that keeps its factorisation.
+of its own for each.  ``field`` and ``field2`` (with cmpm), ``twin``, ``twin2`` and ``dual`` (with mpm) are choices of
+integration; their operators are part of ``setup_of_step``, done once per step.  A pass is respond, gradient_force,
+moduli, tangent and one solve: the direct one, or ``first`` and ``later`` solve of a step that keeps its factorisation.
 
     python benchmarks/implicit.py                       100k points, mpm, gimp, cmpm, table
+    python benchmarks/implicit.py --methods field field2 twin dual
     python benchmarks/implicit.py --points 10000 100000 1000000 --methods mpm --no-solve
     python benchmarks/implicit.py --empty 10            ten times more empty mesh around the same body
 """
@@ -37,6 +39,9 @@ BOUNDARY = (FixedPlane(1, 0.0, -1, (0, 1), name="base"), FixedPlane(0, 0.0, -1, 
             FixedPlane(0, 1.0, 1, name="right"))
 
 
+FIELDS = {"field": "cmpm", "field2": "cmpm", "twin": "mpm", "twin2": "mpm", "dual": "mpm"}
+
+
 class Table(Points):
     """Points are the quadrature, but the pair is told so number by number: 16 nodes per point."""
 
@@ -53,9 +58,9 @@ def seconds(works, repeats):
     results = [work() for work in works]        # kernels are compiled, caches filled
     for _ in range(repeats):
         for k, work in enumerate(works):
-            begin = time.perf_counter()
+            begin = clock()
             results[k] = work()
-            taken[k].append(time.perf_counter() - begin)
+            taken[k].append(clock() - begin)
     return results, [[round(float(f(each)), 5) for f in (np.min, np.median, np.max)] for each in taken]
 
 
@@ -73,9 +78,11 @@ def block(points, empty):
 
 def steps_of(method, mesh, particles):
     """The step with either engine."""
-    wide, state = method == "table", State(0, particles, BOUNDARY, np.zeros((2, 0)), {})
-    options = Options(METHODS["cmpm-c" if wide else method], "logarithmic", "equilibrated", "one",
-                      Table() if wide else find_integration("points"), "ghost", "exact", 1e-6, 1e-11, None)
+    state = State(0, particles, BOUNDARY, np.zeros((2, 0)), {})
+    integration = Table() if method == "table" else find_integration(method if method in FIELDS else "points")
+    base = METHODS[{"table": "cmpm-c", **FIELDS}.get(method, method)]
+    options = Options(integration.method(base), "logarithmic", "equilibrated", "one", integration, "ghost", "exact",
+                      floor=1e-6, ghost=0.0, tolerance=1e-11, solver=None)
     return [Step(mesh, state, LAW, replace(options, engine=engine)) for engine in ("numpy", "numba")]
 
 
@@ -98,7 +105,7 @@ def measure(method, points, empty, repeats, solve):
         return results
 
     both("gradient_force", lambda step: (step.operator.gradient(u), step.operator.force(response.piola)))
-    both("tangent", lambda step: step.tangent_operator.tangent(moduli, step.support.number, step.floor.shape[0]))
+    both("tangent", lambda step: step.tangent_operator.tangent(moduli, step.support.number, step.soft.shape[0]))
     stiffness = both("stiffness", lambda step: step._stiffness(moduli))[1]     # with the soft floor and slaved nodes
     row |= {"dofs": int(fast.support.free.sum()), "nonzeros": int(stiffness.nnz)}
     if solve:
@@ -126,11 +133,14 @@ def solves(step, stiffness, moduli, repeats):
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--points", type=int, nargs="+", default=[100_000])
-parser.add_argument("--methods", nargs="+", default=["mpm", "gimp", "cmpm", "table"], choices=[*METHODS, "table"])
+parser.add_argument("--methods", nargs="+", default=["mpm", "gimp", "cmpm", "table"],
+                    choices=[*METHODS, "table", *FIELDS])
 parser.add_argument("--empty", type=float, default=0.0, help="empty cells around the body, as a multiple of its own")
 parser.add_argument("--repeats", type=int, default=5)
+parser.add_argument("--processor", action="store_true", help="count seconds of the processor: for a busy machine")
 parser.add_argument("--no-solve", action="store_true", help="leave the linear solve out (it does not scale linearly)")
 options = parser.parse_args()
+clock = time.process_time if options.processor else time.perf_counter
 
 print(json.dumps({"machine": platform.processor() or platform.machine(), "python": platform.python_version(),
                   "numpy": np.__version__, "scipy": scipy.__version__, "scikit-fem": skfem.__version__,

@@ -123,3 +123,25 @@ def test_the_cut_fails_at_the_weight_of_limit_analysis():
     assert (np.diff(cured) < 0).all() and 0 < cured[-1] < 0.05
     assert abs(2 * cured[-1] - cured[-2]) < 0.05
     assert errors(rows, "error", method="gimp", remedy="none")[0] > 0.2
+
+
+# A cantilever that falls and swings back (V10)
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_tip_of_the_cantilever_falls_as_far_as_it_should(kind):
+    """To the lowest point, before anything can tear, every choice is right within 4 % of what the sources print."""
+    rows = rows_of("cantilever", kind)
+    assert all(row["status"] == "finished" for row in rows)
+    for moment, printed in [("0.66", -2.34), ("1.045", -3.28)]:
+        assert (abs(errors(rows, f"tip_{moment}") - printed) < 0.04 * 3.28).all()
+    if kind == "quick":
+        assert (errors(rows, "error_fe") < 0.02).all() and (errors(rows, "gap") < 2.5).all()
+
+
+@pytest.mark.slow
+def test_one_choice_follows_the_cantilever_back_and_explicit_steps_do_not():
+    """Field integration with a ghost penalty stays within 5 % of the finite element solution of the same law."""
+    rows = rows_of("cantilever", "full")
+    error = {row["choice"]: float(row["error_fe"]) for row in rows}
+    assert error["field2, ghost, half the step"] < 0.05
+    assert min(error["gimp, explicit"], error["dual"]) > 0.3

@@ -78,11 +78,12 @@ class Fit:
             near = np.flatnonzero(unit >= 0)
             for part in chunks(len(near)):
                 xi = self.local(unit[near[part]], x[:, near[part]])
-                weight = self._weights(xi)
+                weight, points = self._weights(xi), near[part]
                 felt = weight > 0
-                points = near[part][felt]
+                if not felt.all():
+                    weight, points, xi = weight[felt], points[felt], xi[:, felt]
                 if len(points):
-                    yield offset, points, unit[points], monomials(xi[:, felt], self.order) * weight[felt]
+                    yield offset, points, unit[points], monomials(xi, self.order) * weight
 
     def _weights(self, xi: ndarray) -> ndarray:
         """Weights of points at local coordinates ``(dim, n)``."""
