@@ -8,7 +8,10 @@ from skfem import MeshHex, MeshLine, MeshQuad
 
 from skfem_mpm import (
     METHODS,
+    CMPMBasis,
     LinearElastic,
+    Method,
+    ParticleBasis,
     Particles,
     VonMises,
     axisymmetric,
@@ -30,7 +33,7 @@ ELASTIC = LinearElastic(E=100.0, nu=0.3)
 PLASTIC = VonMises(E=100.0, nu=0.3, peak=2.0, residual=0.5, softening=-5.0)
 KINDS = [(1, uniaxial), (2, plane_strain), (3, solid), (1, axisymmetric), (2, axisymmetric)]
 kinds = pytest.mark.parametrize("dim, kinematics", KINDS, ids=["1d", "2d", "3d", "rings1", "rings2"])
-twins = pytest.mark.parametrize("twin", ["twin", "twin2"])
+twins = pytest.mark.parametrize("twin", ["twin", "twin2", "dual"])
 
 
 def mesh_of(dim, *axes):
@@ -364,3 +367,14 @@ def test_a_continued_compiled_run_is_the_same_run():
     again = run(body, steps=10, start=half, engine="numba")[-1]
     for name in ("x", "velocity", "sigma", "length"):
         assert (getattr(whole.particles, name) == getattr(again.particles, name)).all(), name
+
+
+@pytest.mark.parametrize("changes, message", [
+    ({"integration": "dm"}, "integration: got 'dm', which is for implicit steps"),
+    ({"integration": "field"}, "integration: got 'field', which is for implicit steps"),
+    ({"method": Method(ParticleBasis, ParticleBasis, ParticleBasis, motion=CMPMBasis)}, "method: got one that moves"),
+])
+def test_what_is_for_implicit_steps_is_refused(changes, message):
+    mesh, body = layout(2, plane_strain, 0)
+    with pytest.raises(ValueError, match=message):
+        explicit_steps(mesh, body, ELASTIC, steps=1, **changes)

@@ -166,9 +166,12 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
 def _integration(method: Method, integration: Any) -> tuple[Method, Any]:
     """How stress becomes force, and the method whose bases a step then reads."""
     found = find_integration(integration)
-    if not isinstance(found, (Points, Twin)):
-        raise ValueError(f"integration: got {integration!r}, whose strain is not conjugate to its forces, so that "
-                         "elastic waves would grow; expected 'points', 'twin', 'twin2' or a Twin.")
+    if type(found) not in (Points, Twin):
+        raise ValueError(f"integration: got {integration!r}, which is for implicit steps; expected 'points', 'twin', "
+                         "'twin2', 'dual' or a Twin, whose strain is conjugate to their forces.")
+    if method.motion is not None:
+        raise ValueError(f"method: got one that moves points by {method.motion.__name__}, which is for implicit steps; "
+                         "expected motion=None, the functions that map mass.")
     return (conjugate(method) if found.covers else method), found
 
 

@@ -40,7 +40,7 @@ class Fields:
 
     def __init__(self, sums: Sums, kinematics: Kinematics, twin: Twin):
         self.sums, self.tables, self.crew = sums, sums.tables, sums.crew
-        self.kappa, self.order, self.dim = float(twin.kappa), twin.order, sums.dim
+        self.kappa, self.order, self.dim = -1.0 if twin.kappa is None else float(twin.kappa), twin.order, sums.dim
         dim, n = self.dim, len(self.tables.cell)
         self.exps = _exponents(dim, 2 * twin.order)
         nb = len(monomial_degrees(dim, twin.order))

@@ -24,8 +24,8 @@ U = np.uint64
 
 @njit(**INLINE)
 def _weight(xi, kappa):
-    """Weight of a point in the fit of a cell, along one axis."""
-    return np.exp(-kappa * xi * xi)
+    """Weight of a point in the fit of a cell, along one axis; a negative ``kappa`` stands for linear interpolation."""
+    return max(0.0, 1.0 - abs(xi)) if kappa < 0 else np.exp(-kappa * xi * xi)
 
 
 @njit(**OPTIONS)
