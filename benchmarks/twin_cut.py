@@ -18,7 +18,8 @@ from scipy.spatial import cKDTree
 from skfem_mpm.scenes import vertical_cut
 
 CASES = {"mpm": {"method": "mpm"}, "gimp": {"method": "gimp"}, "cmpm-c": {"method": "cmpm-c"},
-         "twin": {"integration": "twin"}, "twin2": {"integration": "twin2"}}
+         "twin": {"integration": "twin"}, "twin2": {"integration": "twin2"}, "dual": {"integration": "dual"},
+         "dual, gimp": {"method": "gimp", "integration": "dual"}}
 SHOWN = {"gimp": CASES["gimp"], "twin2": CASES["twin2"], "gimp, B-bar": CASES["gimp"] | {"remedy": "bbar"},
          "twin2, B-bar": CASES["twin2"] | {"remedy": "bbar"}}
 MARKS = {"10 cm": 0.10, "run-out (50 cm)": 0.50}
