@@ -481,3 +481,36 @@ def test_points_without_domains_and_weights_of_points_are_refused(name):
         next(implicit_steps(mesh, replace(points, spans=None, length=None), LAW, planes, steps=1, integration=name))
     with pytest.raises(ValueError, match="weights"):
         next(implicit_steps(mesh, points, LAW, planes, steps=1, integration=name, weights="eq10"))
+
+
+def small_block(**changes):
+    """One step of a block under gravity that a plane holds."""
+    mesh = MeshQuad.init_tensor(np.linspace(0, 3, 13), np.linspace(0, 3, 13))
+    body = Particles.fill(MeshQuad.init_tensor(np.linspace(0.5, 1.6, 6), np.linspace(0.5, 1.9, 8)), plane_strain,
+                          density=10.0)
+    held = [FixedPlane(1, 0.5, -1, (0, 1), name="base"), *changes.pop("walls", ())]
+    return next(implicit_steps(mesh, changes.pop("start", body), Hencky(E=400.0, nu=0.3), held, steps=1, method="mpm",
+                               gravity=(0.2, -1.0), **changes))
+
+
+@pytest.mark.parametrize("name", ["twin", "twin2", "dual"])
+def test_twins_refuse_to_recover_stress_between_points(name):
+    state = small_block(integration=name)
+    with pytest.raises(ValueError, match="recover: got a state of a twin"):
+        state.recover(state.particles.x)
+    assert state.energy["elastic"] > 0
+
+
+def test_a_wall_may_be_denser_than_the_grid_with_cubic_patches():
+    wall = Wall(np.stack([np.linspace(0.6, 1.5, 8), np.full(8, 1.9)]), (None, -0.01), name="top")
+    state = small_block(integration="cubic", walls=[wall])
+    assert state.residuals[-1] < 1e-11
+    assert abs(state.reactions["top"][1] + state.reactions["base"][1] - state.particles.mass.sum()) < 1e-9
+
+
+def test_domains_are_carried_through_a_run_that_does_not_read_them():
+    first = small_block(integration="dual")
+    second = small_block(start=first.particles)
+    assert second.particles.spans is not None
+    area = np.linalg.det(second.particles.spans.transpose(2, 0, 1))
+    assert_allclose(area, second.particles.volume, rtol=1e-10)

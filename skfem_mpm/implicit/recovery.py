@@ -32,9 +32,13 @@ class Recovery:
     ring: bool
     force: type[ParticleBasis]
     dilation: ndarray | None     # of cells, if points see that instead of their own
+    between: bool = True         # whether strain is known between the points
 
     def __call__(self, x: ndarray, length: ndarray | None) -> ndarray:
         """Stress increment ``(ncomp, n)`` at positions ``(dim, n)``."""
+        if not self.between:
+            raise ValueError("recover: got a state of a twin of field integration, which knows strain at its points "
+                             "only; read the points' own stress, or run with integration='field' or 'points'.")
         x = check_array("x", x, (len(self.u), None))
         index = self.grid.locate(x)
         empty = np.flatnonzero(~self.occupied[tuple(index)])

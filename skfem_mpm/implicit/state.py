@@ -104,8 +104,9 @@ class State:
     def recover(self, x: ndarray, length: ndarray | None = None) -> ndarray:
         """Stress increment of the last step at any positions in the body, ``(ncomp, n)``.
 
-        Recovered as the method recovers strain at its points, from the grid as it was at the start of the step; after
-        the first step from zero stress this is the stress.
+        Recovered as the method recovers strain at its points, from the grid as it was at the start of the step, and
+        answered by the material without stress and history; after the first step from zero stress this is the stress.
+        Twins of field integration know no strain between the points, and refuse.
 
         Parameters
         ----------

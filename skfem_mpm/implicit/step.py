@@ -254,8 +254,12 @@ class Step:
         stacked, targets = stack_rows(moving, size), np.array(values)
         if not values:
             return Walls(stacked, stacked.T, targets, owner)
+        columns = stack_rows(pushing, size)
         kept, targets = independent_rows(stacked[:, free], targets, owner)
-        return Walls(stacked[kept], stack_rows(pushing, size)[kept].T, targets, [owner[row] for row in kept])
+        if self.options.method.motion is not None:       # what pushes may depend where what moves does not
+            more, _ = independent_rows(columns[kept][:, free], np.zeros(len(kept)), kept.tolist())
+            kept, targets = kept[more], targets[more]
+        return Walls(stacked[kept], columns[kept].T, targets, [owner[row] for row in kept])
 
     def _weight(self, gravity: Any) -> ndarray:
         """Body force on the solved components."""
@@ -382,7 +386,8 @@ class Step:
         basis = self.options.method.strain
         recovery = Recovery(support.grid, basis, self.options.edges, support.sides_of(basis), support.occupied, u,
                              STRAINS[self.options.strain], old.kinematics, self.material, self.ring,
-                             self.options.method.force, self._dilation(gradient))
+                             self.options.method.force, self._dilation(gradient),
+                            getattr(self.options.integration, "recovers", True))
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
                      scheme=self.options.scheme, gravity=gravity, time=self.state.time, engine=self.options.engine,
                      _recovery=recovery)
@@ -408,7 +413,7 @@ def _needed(particles: Particles, options: Options) -> Particles:
     uses_boxes = any(each.reads_domains for each in readers)
     return replace(particles, velocity=particles.velocity if options.dt else None,
                    length=particles.length if uses_boxes or options.weights == "overlap" else None,
-                   spans=spans_of(particles) if options.integration.covers else None)
+                   spans=spans_of(particles) if options.integration.covers else particles.spans)
 
 
 def _seen(mesh: Mesh, particles: Particles, options: Options) -> Particles:

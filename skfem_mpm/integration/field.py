@@ -109,6 +109,7 @@ class Twin:
     kappa: float | None = 4.0
 
     covers = True
+    recovers = False    # strain is that of the points, and nothing is known between them
     reads_domains = False
 
     def __post_init__(self) -> None:
