@@ -407,7 +407,7 @@ class Step:
 
 
 def _needed(particles: Particles, options: Options) -> Particles:
-    """Only what the scene requires: velocity with inertia, domains if a basis, weights or the integration read them."""
+    """Only what the scene requires: velocity with inertia, boxes if anything reads them; given parallelograms stay."""
     method = options.method
     readers = (method.mass, method.strain, method.force, options.integration)
     uses_boxes = any(each.reads_domains for each in readers)
