@@ -20,7 +20,7 @@ from skfem.quadrature import get_quadrature
 from skfem.refdom import RefLine, RefTet, RefTri
 
 from .checks import OutsideGridError
-from .grid import Grid, whole_cells
+from .grid import Grid, gauss_points, touched_cells
 from .particles import Particles
 
 SIMPLEX = {1: RefLine, 2: RefTri, 3: RefTet}
@@ -102,7 +102,7 @@ class Cover:
         shape = self.grid.cells.shape
         behind, closed = np.zeros(shape, dtype=bool), self._closed()
         for plane in self.planes:
-            behind |= ~whole_cells(~plane.behind(self.grid).reshape(self.grid.vertices.shape))
+            behind |= touched_cells(plane.behind(self.grid).reshape(self.grid.vertices.shape))
         cell, part = np.divmod(keys, self.nparts)
         place = np.stack(np.unravel_index(cell, shape))
         full = np.ones(len(keys), dtype=bool)
@@ -168,17 +168,9 @@ class Cover:
         return tuple(np.concatenate([a, b], axis=-1) for a, b in zip(inner, outer))    # type: ignore[return-value]
 
     def _of_full(self, order: int) -> tuple[ndarray, ndarray, ndarray]:
-        grid, dim = self.grid, self.grid.dim
-        xi, weight = np.polynomial.legendre.leggauss(order // 2 + 1)
-        place = np.stack(np.meshgrid(*[(1 + xi) / 2] * dim, indexing="ij")).reshape(dim, -1)
-        share = np.prod(np.meshgrid(*[weight / 2] * dim, indexing="ij"), axis=0).ravel()
-        index = np.unravel_index(self.full // self.nparts, grid.cells.shape)
-        step = np.stack([grid.steps[k][index[k]] for k in range(dim)])
-        first = np.stack([grid.axes[k][index[k]] for k in range(dim)])
-        x = first[:, :, None] + step[:, :, None] * place[:, None]
-        area = step.prod(axis=0)[:, None] * share
-        unit = np.repeat(self.find(self.full), len(share))
-        return unit, x.reshape(dim, -1), area.ravel()
+        cells = np.stack(np.unravel_index(self.full // self.nparts, self.grid.cells.shape))
+        _, x, area = gauss_points(self.grid, cells, order)
+        return np.repeat(self.find(self.full), area.size // max(1, self.full.size)), x, area
 
     def _of_pieces(self, order: int) -> tuple[ndarray, ndarray, ndarray]:
         points, dim = self.particles, self.grid.dim

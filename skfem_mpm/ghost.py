@@ -20,7 +20,7 @@ from scipy.sparse import coo_array, csc_array, kron
 from skfem import BilinearForm, Dofs, ElementHex1, ElementLineP1, ElementQuad1, InteriorFacetBasis, Mesh, asm
 from skfem.helpers import dot, grad, jump
 
-from .grid import Grid, whole_cells, wider
+from .grid import Grid, touched_cells, wider
 
 ELEMENTS = {1: ElementLineP1, 2: ElementQuad1, 3: ElementHex1}
 
@@ -100,7 +100,7 @@ def cut_cells(grid: Grid, in_play: ndarray, planes: Sequence[Any]) -> ndarray:
                         for axis in grid.axes), np.pad(grid.vertices, 1), np.pad(grid.cells, 1))
     filled = np.pad(in_play, 1)
     for plane in planes:
-        filled |= ~whole_cells(~plane.behind(beyond).reshape(beyond.vertices.shape))
+        filled |= touched_cells(plane.behind(beyond).reshape(beyond.vertices.shape))
     return in_play & wider(~filled)[(slice(1, -1),) * grid.dim]
 
 

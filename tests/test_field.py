@@ -16,7 +16,7 @@ from skfem_mpm.cover import Cover, spans_of
 from skfem_mpm.grid import Grid
 from skfem_mpm.integration import INTEGRATIONS, Field, Twin
 from skfem_mpm.integration.compiled import CompiledPair
-from skfem_mpm.integration.field import LEAST, field_table, keep_positive, moments
+from skfem_mpm.integration.field import LEAST, field_table, keep_positive
 from skfem_mpm.integration.fit import Fit
 from skfem_mpm.kinematics import Logarithmic
 from skfem_mpm.support import Support
@@ -182,12 +182,12 @@ def test_whatever_the_layout_a_point_keeps_a_fifth_of_what_constants_would_give_
     mesh, points = nasty(*motion, seed, n)
     support = CoverOnly(mesh, points)
     fit = Fit(support.cover, choice.order, choice.kappa)
-    amount, _ = moments(fit, hoop=False)
+    amount, _ = fit.moments
     keep_positive(fit)
-    _, volume = field_table(fit, points.kinematics.hoop)
+    _, volume = field_table(fit)
     constant = Fit(support.cover, choice.order, choice.kappa)
     constant.blend(np.ones(len(constant.Q)))
-    _, sure = field_table(constant, points.kinematics.hoop)
+    _, sure = field_table(constant)
     assert (sure > 0).all()
     assert (volume >= (1 - 1e-6) * LEAST * sure).all()
     held = fit.weight > 0

@@ -16,7 +16,7 @@ import numpy as np
 from numpy import ndarray
 
 from ..cover import Cover
-from ..grid import Grid
+from ..grid import Grid, gauss_rule
 from ..kinematics import Kinematics
 from ..shapes import pieces
 
@@ -74,10 +74,8 @@ class BoxCover(Cover):
         outer = ~np.isin(self.keys[unit], self.full)
         owner, unit, middle, edges, size = owner[outer], unit[outer], middle[:, outer], edges[:, outer], size[outer]
         scale = (self.particles.volume / held)[owner]
-        xi, weight = np.polynomial.legendre.leggauss(order // 2 + 1)
-        local = np.stack(np.meshgrid(*[xi / 2] * self.grid.dim, indexing="ij")).reshape(self.grid.dim, 1, -1)
-        share = np.prod(np.meshgrid(*[weight / 2] * self.grid.dim, indexing="ij"), axis=0).ravel()
-        x = middle[:, :, None] + edges[:, :, None] * local
+        place, share = gauss_rule(self.grid.dim, order)
+        x = middle[:, :, None] + edges[:, :, None] * (place - 0.5)[:, None]
         return np.repeat(unit, len(share)), x.reshape(len(x), -1), ((size * scale)[:, None] * share).ravel()
 
     def _cut_boxes(self) -> tuple[ndarray, ndarray, ndarray, ndarray]:

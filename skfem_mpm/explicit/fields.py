@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from ..grid import whole_cells
+from ..grid import touched_cells
 from ..integration import Twin
 from ..integration.field import LEAST, ROUNDS
 from ..integration.fit import FLAT, monomial_degrees
@@ -102,7 +102,7 @@ class Fields:
         part = grid.window(np.stack([low, high - 1], axis=1), 0)
         behind = np.zeros(part.cells.shape, dtype=bool)
         for plane in self.tables.planes:
-            behind |= ~whole_cells(~plane.behind(part).reshape(part.vertices.shape))
+            behind |= touched_cells(plane.behind(part).reshape(part.vertices.shape))
         out = np.ones(shape, dtype=np.uint8)
         out[tuple(slice(a, b) for a, b in zip(low - first, high - first))] = behind
         return out.ravel()

@@ -1,4 +1,4 @@
-"""Two Gauss points per axis in whole cells: the quadrature of ordinary finite elements."""
+"""Gauss points of whole cells: the quadrature of ordinary finite elements."""
 
 from __future__ import annotations
 
@@ -7,22 +7,29 @@ from numpy import ndarray
 
 from .grid import Grid
 
-PLACES = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)      # in a cell from 0 to 1; each has half of it
+PLACES = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12)      # two in a cell from 0 to 1; each has half of it
 
 
-def gauss_points(grid: Grid, cells: ndarray) -> tuple[ndarray, ndarray, ndarray]:
-    """Gauss points of the cells ``(dim, m)``, those of a cell together, the last axis fastest.
+def gauss_rule(dim: int, order: int) -> tuple[ndarray, ndarray]:
+    """Places ``(dim, q)`` in the unit cell and shares ``(q,)`` of it that integrate an order, the last axis fastest."""
+    xi, weight = np.polynomial.legendre.leggauss(order // 2 + 1)
+    place = np.stack(np.meshgrid(*[(1 + xi) / 2] * dim, indexing="ij")).reshape(dim, -1)
+    return place, np.prod(np.meshgrid(*[weight / 2] * dim, indexing="ij"), axis=0).ravel()
+
+
+def gauss_points(grid: Grid, cells: ndarray, order: int = 3) -> tuple[ndarray, ndarray, ndarray]:
+    """Gauss points of the cells ``(dim, m)``, two per axis for order 3: cell by cell, the last axis fastest.
 
     Returns
     -------
     index, x
-        ``(dim, m * 2**dim)``; cells and positions.
+        ``(dim, m * q)``; cells and positions.
     area
-        ``(m * 2**dim,)``; weights, without a radius in axial symmetry.
+        ``(m * q,)``; weights, without a radius in axial symmetry.
     """
-    dim = grid.dim
-    index = np.repeat(cells, 2 ** dim, axis=1)
-    place = np.tile(PLACES[np.indices((2,) * dim).reshape(dim, -1)], cells.shape[1])
-    step = np.stack([grid.steps[k][index[k]] for k in range(dim)])
-    first = np.stack([grid.axes[k][index[k]] for k in range(dim)])
-    return index, first + place * step, step.prod(axis=0) / 2 ** dim
+    place, share = gauss_rule(grid.dim, order)
+    index = np.repeat(cells, len(share), axis=1)
+    step = np.stack([grid.steps[k][index[k]] for k in range(grid.dim)])
+    first = np.stack([grid.axes[k][index[k]] for k in range(grid.dim)])
+    count = cells.shape[1]
+    return index, first + np.tile(place, count) * step, step.prod(axis=0) * np.tile(share, count)

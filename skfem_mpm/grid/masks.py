@@ -33,6 +33,11 @@ def whole_cells(nodes: ndarray) -> ndarray:
     return whole
 
 
+def touched_cells(nodes: ndarray) -> ndarray:
+    """Mask over the cells with a marked node; ``nodes`` is a mask with one index per axis, as the result."""
+    return ~whole_cells(~nodes)
+
+
 def wider(mask: ndarray) -> ndarray:
     """A mask and all that is next to it, diagonally too; one index per axis."""
     for axis, size in enumerate(mask.shape):

@@ -51,14 +51,15 @@ class Inertia:
         mass = support.particles.mass
         amount = np.stack([support.mapping.to_nodes(mass * row) for row in vectors])
         none = stack_rows([], len(support.free))
-        return self._solve(support.gather(amount), none)
+        return self._solve(support.gather(amount), none, none.T)
 
-    def _solve(self, force: ndarray, rows: csr_array) -> ndarray:
-        return solve_constrained(self.solver, self.matrix, force, rows, np.zeros(rows.shape[0]), self.support.free)[0]
+    def _solve(self, force: ndarray, rows: csr_array, columns: csr_array) -> ndarray:
+        none = np.zeros(rows.shape[0])
+        return solve_constrained(self.solver, self.matrix, force, rows, none, self.support.free, columns)[0]
 
-    def at_rest(self, force: ndarray, rows: csr_array) -> ndarray:
-        """Acceleration of the points by a force, walls keeping to their velocity."""
-        return self.to_points(self._solve(force, rows))
+    def at_rest(self, force: ndarray, rows: csr_array, columns: csr_array) -> ndarray:
+        """Acceleration of the points by a force, walls keeping to their velocity; they move and push by these."""
+        return self.to_points(self._solve(force, rows, columns))
 
     def acceleration(self, unknowns: ndarray) -> ndarray:
         """Acceleration of the solved components at the end of a step with these displacements."""

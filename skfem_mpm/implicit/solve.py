@@ -18,8 +18,7 @@ from .state import Solver
 ACCURACY = 1e-12    # of iterative solvers: residual relative to the right-hand side
 PATIENCE = 40       # iterations after which it is better to factorise
 SMALL = 2000        # unknowns up to which it is quicker to factorise each time
-
-BEND = 0.1    # how far walls that bend may be missed, as a share of the range of their displacement
+BEND = 0.1          # how far walls that bend may be missed, as a share of the range of their displacement
 
 
 def independent_rows(rows: csr_array, values: ndarray, owner: Sequence[Any]) -> tuple[ndarray, ndarray]:
@@ -70,24 +69,23 @@ def _ranges(values: ndarray, owner: Sequence[Any]) -> ndarray:
     return np.array([np.ptp(held[who]) for who in owner])
 
 
-def bordered(stiffness: csr_array, rows: csr_array, free: ndarray,
-             columns: csr_array | None = None) -> tuple[csc_array, float]:
+def bordered(stiffness: csr_array, rows: csr_array, free: ndarray, columns: csr_array) -> tuple[csc_array, float]:
     """The stiffness of what is free, bordered by constraint rows and columns, and the scale of these."""
     free = np.flatnonzero(free)
     matrix = csc_array(stiffness) if len(free) == stiffness.shape[0] else csc_array(stiffness)[:, free][free]
     if not rows.shape[0]:
         return matrix, 1.0
     scale = float(abs(matrix.diagonal()).mean())      # multipliers of the size of displacements
-    columns = scale * (rows[:, free].T if columns is None else columns[free])
+    columns = scale * columns[free]
     rows = scale * rows[:, free]
     return block_array([[matrix, columns], [rows, None]], format="csc"), scale
 
 
 def solve_constrained(solver: Solver, stiffness: csr_array, force: ndarray, rows: csr_array, values: ndarray,
-                      free: ndarray, columns: csr_array | None = None) -> tuple[ndarray, ndarray]:
+                      free: ndarray, columns: csr_array) -> tuple[ndarray, ndarray]:
     """Displacements and multipliers of ``stiffness u + columns m = force``, ``rows u = values``.
 
-    What is not free is zero.  Without ``columns`` they are ``rows^T``; entries of both should be of the size of one.
+    What is not free is zero.  Entries of ``rows`` and ``columns`` should be of the size of one.
 
     Raises
     ------

@@ -57,7 +57,6 @@ class _Problem:
     rows: csr_array                  # of the walls, and of the control
     values: ndarray
     columns: csr_array               # what multipliers bring in: forces of the walls, and the load that is scaled
-    inertia: Inertia | None = None
     before: float = 0.0              # size of the internal force at the start of the step
     diagonal: ndarray | float = 0.0  # of the last stiffness
 
@@ -87,7 +86,7 @@ class Step:
         self.operator, self.tangent_operator = self._operators()
         self.motion = self._motion(particles)
         self.soft = self._floor_stiffness() + self._ghost_stiffness()
-        self.inertial: Any = None
+        self.inertia: Inertia | None = None      # of a time step
         self.factors = Factors()
 
     def _motion(self, particles: Particles) -> Any:
@@ -218,17 +217,17 @@ class Step:
 
     def _dynamic(self, share: float, gravity: Any, external: ndarray, walls: Walls, before: Any) -> State:
         """The state a share of the time step later."""
-        rows, values = walls.rows, walls.values
         options, old = self.options, self.state.acceleration
         dt = share * options.dt
+        problem = _Problem(external, walls.rows, walls.values, walls.columns)
         inertia = Inertia(self.support, dt, options.numerical_damping, options.solver or solve_direct)
         if old is None:
-            internal = self._iterate(_Problem(external, rows, values, walls.columns), 0 * external, 0 * values).force
-            old = inertia.at_rest(self._weight(before) - internal, rows)
+            internal = self._iterate(problem, 0 * external, 0 * walls.values).force
+            old = inertia.at_rest(self._weight(before) - internal, walls.rows, walls.columns)
         velocity = self.particles.velocity
         inertia.start(velocity, old)
-        self.inertial = inertia.stiffness
-        unknowns, force, residuals = self._newton(_Problem(external, rows, values, walls.columns, inertia))
+        self.inertia = inertia
+        unknowns, force, residuals = self._newton(problem)
         reactions = self._reactions(force, walls)
         state = self._finish(self.support.spread(unknowns), share, residuals, reactions, gravity)
         new = inertia.to_points(inertia.acceleration(unknowns))
@@ -293,7 +292,7 @@ class Step:
         full = operator.tangent(moduli, support.number, support.transfer.shape[0]) + self.soft
         if support.slaved:
             full = support.transfer.T @ full @ support.transfer
-        return full if self.inertial is None else full + self.inertial
+        return full if self.inertia is None else full + self.inertia.stiffness
 
     def _newton(self, problem: _Problem) -> tuple[ndarray, ndarray, tuple[float, ...]]:
         at = self._iterate(problem, np.zeros(problem.rows.shape[1]), np.zeros(len(problem.values)))
@@ -333,8 +332,8 @@ class Step:
         response = self.motion.respond(gradient)
         soft = support.transfer.T @ (self.soft @ (support.transfer @ unknowns))
         force = support.gather(self.operator.force(response.piola)) + soft
-        if problem.inertia is not None:
-            force = force + problem.inertia.force(unknowns)
+        if self.inertia is not None:
+            force = force + self.inertia.force(unknowns)
         wall = problem.columns @ multipliers
         unbalanced = np.linalg.norm((force - problem.external + wall)[support.free])
         size = problem.before + sum(np.linalg.norm(part) for part in (force, problem.external, wall))
@@ -343,7 +342,7 @@ class Step:
         return _Iterate(unknowns, multipliers, response, force, residual)
 
     def _linear_solve(self, stiffness: csr_array, force: ndarray, rows: csr_array, values: ndarray,
-                      columns: csr_array | None = None) -> tuple[ndarray, ndarray]:
+                      columns: csr_array) -> tuple[ndarray, ndarray]:
         solver, free = self.options.solver, self.support.free
         if solver is None:
             near = self.near
@@ -385,9 +384,9 @@ class Step:
         boundary = tuple(item.advanced(share) for item in self.state.boundary)
         basis = self.options.method.strain
         recovery = Recovery(support.grid, basis, self.options.edges, support.sides_of(basis), support.occupied, u,
-                             STRAINS[self.options.strain], old.kinematics, self.material, self.ring,
-                             self.options.method.force, self._dilation(gradient),
-                            getattr(self.options.integration, "recovers", True))
+                            STRAINS[self.options.strain], old.kinematics, self.material, self.ring,
+                            self.options.method.force, self._dilation(gradient),
+                            self.options.integration.recovers)
         return State(self.state.step, particles, boundary, displacement, reactions, residuals,
                      scheme=self.options.scheme, gravity=gravity, time=self.state.time, engine=self.options.engine,
                      _recovery=recovery)

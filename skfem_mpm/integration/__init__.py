@@ -12,11 +12,11 @@ from ..checks import check_choice
 from .double import DoubleMapping, MappedModuli
 from .field import Field, Twin
 from .pair import OfStencil, OfTable, Pair, on_points
-from .points import Points
+from .points import Integration, Points
 
 __all__ = [
-    "INTEGRATIONS", "DoubleMapping", "Field", "MappedModuli", "OfStencil", "OfTable", "Pair", "Points", "Twin",
-    "find_integration", "on_points",
+    "INTEGRATIONS", "DoubleMapping", "Field", "Integration", "MappedModuli", "OfStencil", "OfTable", "Pair", "Points",
+    "Twin", "find_integration", "on_points",
 ]
 
 INTEGRATIONS = {

@@ -24,12 +24,12 @@ from numpy import ndarray
 from scipy.sparse import coo_array, csc_array, csr_array
 
 from .. import shapes
-from ..basis import GIMPBasis, Method
+from ..basis import GIMPBasis
 from ..checks import check_choice
 from ..grid import PLACES, Grid, Stencil, available_sides, gauss_points
 from .field import check_unweighted
 from .pair import OfStencil, Pair, on_points
-from .points import Points
+from .points import Integration, Points
 
 VALUE = np.stack([1 - PLACES, PLACES])                  # of a cell's two nodes at its two Gauss points
 
@@ -71,7 +71,7 @@ LOCAL = {"fe": local_linear, "gimp": local_gimp}
 
 
 @dataclass(frozen=True)
-class DoubleMapping:
+class DoubleMapping(Integration):
     r"""Moduli, and perhaps stress, by double mapping: ``dm``, ``dm-g``, ``dm-stress``, ``dm-g-stress``.
 
     A reconstruction of the published idea (Gonzalez Acosta et al. 2020, doi 10.1007/s00466-019-01783-3), not its text.
@@ -114,8 +114,6 @@ class DoubleMapping:
     local: str = "fe"
     stress: bool = False
 
-    covers = False
-
     def __post_init__(self) -> None:
         check_choice("local", self.local, LOCAL)
         if not isinstance(self.stress, bool):
@@ -125,10 +123,6 @@ class DoubleMapping:
     def reads_domains(self) -> bool:
         """Whether the points need a length."""
         return LOCAL[self.local] is local_gimp
-
-    def method(self, method: Method) -> Method:
-        """The method whose bases the operators read."""
-        return method
 
     def pair(self, support: Any, force: type, strain: type, weight: ndarray) -> Pair:
         """The operators of a step; with mapped stress force is carried at the Gauss points, not by ``force``."""

@@ -19,15 +19,16 @@ from numpy import ndarray
 
 from ..basis import Method, ParticleBasis
 from ..checks import check_positive
-from .fit import Fit, monomials
+from .fit import Fit
 from .pair import OfStencil, OfTable, Pair
+from .points import Integration
 
 LEAST = 0.2          # share of what constants would give a point that the fit must leave it
 ROUNDS = 20          # of finding out which units give a point too little
 
 
 @dataclass(frozen=True)
-class Field:
+class Field(Integration):
     r"""Force from the fitted field, strain from the method: ``integration="field"``; implicit only.
 
     Parameters
@@ -53,8 +54,7 @@ class Field:
     reach: int = 1
     recover: type[ParticleBasis] | None = None
 
-    covers = True           # whether cells are integrated that hold no points
-    reads_domains = False   # whether the points need a length; their spans stand for it
+    covers = True
 
     def __post_init__(self) -> None:
         for name in ("order", "reach"):
@@ -72,22 +72,14 @@ class Field:
         """The operators of a step."""
         check_unweighted(weight)
         points = support.particles
-        table, _ = field_table(Fit(support.cover, self.order, self.kappa, self.reach), points.kinematics.hoop)
+        table, _ = field_table(Fit(support.cover, self.order, self.kappa, self.reach))
         of_force = OfTable(support.index - self.reach, table / points.volume, support.grid.vertices.shape)
         of_strain = OfStencil(support.stencil(strain), points.x[0] if points.kinematics.hoop else None)
         return Pair(points.kinematics, of_force, of_strain, points.volume)
 
-    def stiffness(self, support: Any, force: type, strain: type, weight: ndarray, pair: Pair) -> Pair:
-        """Operators of the tangent: the same."""
-        return pair
-
-    def conjugate(self, support: Any, force: type, weight: ndarray) -> Pair:
-        """Operators of the tangent with the functions that carry force on both sides."""
-        return self.pair(support, force, force, weight)
-
 
 @dataclass(frozen=True)
-class Twin:
+class Twin(Integration):
     r"""The symmetric twin of field integration, with the strain conjugate to its force: ``integration="twin"``.
 
     Parameters
@@ -109,8 +101,7 @@ class Twin:
     kappa: float | None = 4.0
 
     covers = True
-    recovers = False    # strain is that of the points, and nothing is known between them
-    reads_domains = False
+    recovers = False
 
     def __post_init__(self) -> None:
         if self.order not in (1, 2):
@@ -128,17 +119,9 @@ class Twin:
         points = support.particles
         fit = Fit(support.cover, self.order, self.kappa)
         keep_positive(fit)
-        table, volume = field_table(fit, points.kinematics.hoop)
+        table, volume = field_table(fit)
         functions = OfTable(support.index - 1, table / volume, support.grid.vertices.shape)
         return Pair(points.kinematics, functions, functions, volume)
-
-    def stiffness(self, support: Any, force: type, strain: type, weight: ndarray, pair: Pair) -> Pair:
-        """Operators of the tangent: the same."""
-        return pair
-
-    def conjugate(self, support: Any, force: type, weight: ndarray) -> Pair:
-        """Operators of the tangent with the functions that carry force on both sides."""
-        return self.pair(support, force, force, weight)
 
 
 def check_unweighted(weight: ndarray) -> None:
@@ -154,7 +137,7 @@ def keep_positive(fit: Fit) -> None:
     As in flux correction: only in the units that need it and only as much as it takes, so constants are kept, the
     operator stays symmetric and it depends continuously on the points.
     """
-    amount, _ = moments(fit, hoop=False)
+    amount, _ = fit.moments
     own, n = fit.Q.copy(), fit.cover.particles.n
     share = np.zeros(len(own))
     positive = np.divide(amount[:, 0], fit.weight, out=np.zeros_like(fit.weight), where=fit.weight > 0)
@@ -169,49 +152,22 @@ def keep_positive(fit: Fit) -> None:
         lack = found < LEAST * sure * (1 - 1e-9)
         if not lack.any():
             return
-        wanted = np.zeros(n)
-        wanted[lack] = (LEAST * sure - found)[lack] / (sure - found)[lack]
-        for _, points, unit, _ in fit.pairs():
-            np.maximum.at(share, unit, np.where(lack[points], share[unit] + (1 - share[unit]) * wanted[points], 0))
+        wanted = (LEAST * sure - found)[lack] / (sure - found)[lack]
+        for _, unit in fit.around:
+            near, most = unit[lack], np.zeros(len(share))
+            np.maximum.at(most, near[near >= 0], wanted[near >= 0])
+            share += (1 - share) * most
     fit.Q = own
     fit.blend(np.where(share > 0, 1.0, 0.0))
 
 
-def moments(fit: Fit, hoop: bool) -> tuple[ndarray, ndarray]:
-    """Integrals over units: of the monomials, and of these times what corner nodes have in a gradient.
-
-    Returns
-    -------
-    amount
-        ``(units, nb)``.
-    corner
-        ``(units, tables, corners, nb)``; slopes along the axes, then if there is a ``hoop`` values over radius.
-    """
-    grid, cover = fit.cover.grid, fit.cover
-    ring = cover.particles.kinematics.hoop
-    unit, x, area = cover.quadrature(fit.order + max(grid.dim - 1 + ring, 2 * ring))
-    phi = monomials(fit.local(unit, x), fit.order)
-    units = len(cover.keys)
-    measure = area * x[0] if ring else area
-
-    def sums(weight: ndarray) -> ndarray:
-        return np.stack([np.bincount(unit, weights=weight * row, minlength=units) for row in phi], axis=1)
-
-    amount = sums(measure)
-    index = np.stack(np.unravel_index(cover.cells[unit], grid.cells.shape))
-    stencil = grid.linear(x, index)
-    tables = [row * measure for row in stencil.gradient()] + ([stencil.value() * area] if hoop else [])
-    corner = np.stack([np.stack([sums(row) for row in table], axis=1) for table in tables], axis=1)
-    return amount, corner
-
-
-def field_table(fit: Fit, hoop: bool) -> tuple[ndarray, ndarray]:
+def field_table(fit: Fit) -> tuple[ndarray, ndarray]:
     """Force per point stress ``(tables, 4**dim, n)`` at the nodes around, and V*.
 
     The first node is ``reach`` cells before the host's.
     """
     dim, n = fit.cover.grid.dim, fit.cover.particles.n
-    amount, corner = moments(fit, hoop)
+    amount, corner = fit.moments
     volumes = np.einsum("ub,ubc->uc", amount, fit.Q)
     weights = np.einsum("utkb,ubc->utkc", corner, fit.Q)
     width = 2 * fit.reach + 2

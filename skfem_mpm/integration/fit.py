@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 from numpy import ndarray
@@ -46,6 +47,8 @@ class Fit:
         Degree of the polynomials, 1 or 2.
     kappa
         How fast weights fall with distance from the middle of a cell; ``None`` for those of linear interpolation.
+    reach
+        How many cells away, along each axis, points still count.
 
     Attributes
     ----------
@@ -62,10 +65,10 @@ class Fit:
         self.width = np.stack([grid.steps[k][index[k]] for k in range(grid.dim)])
         self.middle = np.stack([grid.axes[k][index[k]] for k in range(grid.dim)]) + self.width / 2
         self.around = cover.neighbours(reach)
-        gram = self._gram()
+        degrees = monomial_degrees(grid.dim, order)
+        gram = self._gram(len(degrees))
         self.weight = gram[:, 0, 0]
-        self.degrees = np.minimum(monomial_degrees(grid.dim, order), 2)
-        self.Q = filtered_inverse(gram, self.degrees)
+        self.Q = filtered_inverse(gram, degrees)
 
     def local(self, unit: ndarray, x: ndarray) -> ndarray:
         """Positions in local coordinates of units."""
@@ -91,8 +94,8 @@ class Fit:
             return np.maximum(1 - np.abs(xi), 0).prod(axis=0)
         return np.exp(-np.minimum(self.kappa * (xi ** 2).sum(axis=0), FAR))
 
-    def _gram(self) -> ndarray:
-        nb, units = len(monomial_degrees(self.cover.grid.dim, self.order)), len(self.cover.keys)
+    def _gram(self, nb: int) -> ndarray:
+        units = len(self.cover.keys)
         gram = np.zeros((units, nb, nb))
         for _, points, unit, weighted in self.pairs():
             phi = weighted / weighted[0]
@@ -102,6 +105,26 @@ class Fit:
         upper, right = np.triu_indices(nb)
         gram[:, right, upper] = gram[:, upper, right]
         return gram
+
+    @cached_property
+    def moments(self) -> tuple[ndarray, ndarray]:
+        """Integrals over units: of the monomials, and of these times what corner nodes have in a gradient.
+
+        The first are ``(units, nb)``, the others ``(units, tables, corners, nb)``: slopes along the axes, then in axial
+        symmetry values over radius.
+        """
+        grid, cover, ring = self.cover.grid, self.cover, self.cover.particles.kinematics.hoop
+        unit, x, area = cover.quadrature(self.order + max(grid.dim - 1 + ring, 2 * ring))
+        phi, units = monomials(self.local(unit, x), self.order), len(cover.keys)
+        measure = area * x[0] if ring else area
+
+        def sums(weight: ndarray) -> ndarray:
+            return np.stack([np.bincount(unit, weights=weight * row, minlength=units) for row in phi], axis=1)
+
+        stencil = grid.linear(x, np.stack(np.unravel_index(cover.cells[unit], grid.cells.shape)))
+        tables = [row * measure for row in stencil.gradient()] + ([stencil.value() * area] if ring else [])
+        corner = np.stack([np.stack([sums(row) for row in table], axis=1) for table in tables], axis=1)
+        return sums(measure), corner
 
     def blend(self, share: ndarray) -> None:
         """Take ``share (units,)`` of the fit by constants instead, whose weights are never negative."""
