@@ -1,0 +1,95 @@
+"""Pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter, LogLocator, NullFormatter
+from numpy import ndarray
+
+# One colour per method; other arguments of a choice choose the marker.
+COLOURS = ("#4477aa", "#ee6677", "#228833", "#aa3377", "#ccbb44", "#66ccee", "#333333", "#ee8866")
+MARKERS = "os^Dv<>pPX*hd8"
+
+
+def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequence[int], groups: Sequence[str],
+                       kinds: Sequence[str]) -> None:
+    """Runs as points, those of one way to compute joined by a line, and the runs that nobody beats as a staircase.
+
+    Parameters
+    ----------
+    axes
+        Where to draw; both axes become logarithmic.
+    cost, error
+        ``(n,)``; runs where one is not a number are left out, and errors of zero.
+    front
+        Indices of the Pareto set.
+    groups
+        ``(n,)``; what chooses the colour: the method.
+    kinds
+        ``(n,)``; labels of the ways to compute, of which each has its marker.
+    """
+    cost, error = np.asarray(cost, dtype=float), np.asarray(error, dtype=float)
+    shown = (cost > 0) & (error > 0) & np.isfinite(cost * error)
+    colours = dict(zip(dict.fromkeys(groups), COLOURS * len(groups)))
+    best = [index for index in front if shown[index]]
+    axes.step(cost[best], error[best], where="post", color="0.75", lw=5, solid_capstyle="round", zorder=1,
+              label="front")
+    seen: dict[str, int] = {}
+    for kind in dict.fromkeys(kinds):
+        mine = [index for index, each in enumerate(kinds) if each == kind and shown[index]]
+        if not mine:
+            continue
+        group = groups[mine[0]]
+        marker = MARKERS[seen.get(group, 0) % len(MARKERS)]
+        seen[group] = seen.get(group, 0) + 1
+        axes.plot(cost[mine], error[mine], marker=marker, ms=5, lw=0.9, color=colours[group], mec="white", mew=0.4,
+                  label=kind, zorder=3 if set(mine) & set(best) else 2)
+    axes.plot(cost[best], error[best], "o", ms=11, mfc="none", mec="0.25", mew=1.0, zorder=4)
+    axes.set(xscale="log", yscale="log")
+    if np.ptp(np.log10(cost[shown])) < 1 if shown.any() else False:         # less than a decade has hardly a tick
+        axes.xaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
+        axes.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(np.inf, np.inf)))
+    else:
+        axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.grid(alpha=0.3, which="major")
+    axes.grid(alpha=0.12, which="minor")
+
+
+def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall_s", "memory_mb")) -> Figure:
+    """Error against cost of a study, with the runs that nobody beats in both.
+
+    Parameters
+    ----------
+    study
+        What :func:`skfem_mpm.study.tradeoff` returns.
+    quantity
+        Which error; the first one if not given.
+    costs
+        Columns to draw it against, a panel each; those of which nothing is known are left out.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    words = {"wall_s": "seconds", "cpu_s": "seconds of the processor", "memory_mb": "peak memory / MB"}
+    known = [cost for cost in costs if np.isfinite(study.column(cost)).any()] or list(costs[:1])
+    figure, places = plt.subplots(1, len(known), figsize=(4.6 * len(known) + 2.8, 4.4), sharey=True, squeeze=False,
+                                  layout="constrained")
+    kinds = [study.label(row) for row in study.rows]
+    groups = [str(row.get("method", "")) for row in study.rows]
+    name = study.error_name(quantity)
+    rows = {id(row): index for index, row in enumerate(study.rows)}
+    for axes, cost in zip(places[0], known):
+        front = [rows[id(row)] for row in study.front(quantity, cost)]
+        error_against_cost(axes, study.column(cost), study.column(name), front, groups, kinds)
+        axes.set_xlabel(words.get(cost, cost))
+    places[0, 0].set_ylabel(f"error: {name[len('error_'):]}")
+    figure.suptitle(f"{study.about['scene']}: error against cost", fontsize=11)
+    figure.legend(*places[0, 0].get_legend_handles_labels(), loc="outside right center", fontsize=8)
+    return figure

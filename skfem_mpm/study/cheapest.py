@@ -1,0 +1,266 @@
+"""The cheapest choice for a tolerance, found by a few small runs and verified by running it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..checks import check_choice, check_positive
+from .choices import Choice, changes, key, label
+from .problems import Problem, find_problem
+from .store import Row
+from .trade import COSTS, Progress, tradeoff
+from .trend import Trend
+
+TRIES = 12                 # runs beyond the pilots
+MORE = 4                   # how much finer than the finest pilot a grid may get, if nothing is said
+
+
+@dataclass(frozen=True)
+class Smaller:
+    """What a smaller model would give, with the recommended choice.
+
+    Attributes
+    ----------
+    name, change
+        What it is, and the arguments that make it.
+    error, cost
+        Measured; not a number if it cannot be run.
+    would_do
+        Whether it is as good (within the tolerance, or no worse) and cheaper.
+    reason
+        Why it cannot be run, if so.
+    """
+
+    name: str
+    change: Choice
+    error: float
+    cost: float
+    would_do: bool
+    reason: str = ""
+
+    def __str__(self) -> str:
+        if self.reason:
+            return f"{self.name} cannot be run: {self.reason[:160]}"
+        verdict = "a smaller model would do" if self.would_do else "no smaller model will do"
+        return f"{verdict}: {self.name}, error {self.error:.3g}, cost {self.cost:.3g}"
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """The answer of :func:`cheapest`; printed, it says all this in words.
+
+    Attributes
+    ----------
+    reached
+        Whether some choice has an error within the tolerance.
+    choice
+        Its arguments, the number of cells among them; the best one that was run if none is within.
+    predicted
+        ``error`` and ``cost`` expected of it before it was run with so many cells.
+    row
+        What was measured in the end, as in :class:`~skfem_mpm.study.Study`.
+    tolerance, quantity, cost
+        What was asked for.
+    notes
+        Why choices fall out, and what to be careful about.
+    smaller
+        What smaller models would give.
+    rows
+        All that was run.
+    """
+
+    reached: bool
+    choice: Choice
+    predicted: Mapping[str, float]
+    row: Row
+    tolerance: float
+    quantity: str
+    cost: str
+    notes: tuple[str, ...]
+    smaller: tuple[Smaller, ...]
+    rows: tuple[Row, ...]
+
+    def __str__(self) -> str:
+        error, unit = self.row[f"error_{self.quantity}"], "MB" if self.cost == "memory_mb" else "s"
+        head = f"{label(self.choice)}, cells={self.choice['cells']}"
+        if not self.reached:
+            head = f"not reachable: {self.tolerance:.3g}; the best that was run is {head}"
+        lines = [head, f"  error {error:.3g} (predicted {self.predicted['error']:.3g}), {self.row[self.cost]:.3g} "
+                       f"{unit} (predicted {self.predicted['cost']:.3g})"]
+        lines += [f"  {note}" for note in self.notes]
+        return "\n".join(lines + [f"  {each}" for each in self.smaller])
+
+
+def cheapest(scene: Any, tolerance: float, quantity: str | None = None, *, choices: Iterable[Choice] | None = None,
+             pilots: Sequence[int] | None = None, most: int | None = None,
+             simpler: Mapping[str, Choice] | None = None, cost: str = "cpu_s", repeats: int = 3,
+             out: str | Path | None = None, progress: Progress | None = None, **fixed: Any) -> Recommendation:
+    """The cheapest choice whose error is within a tolerance.
+
+    Every choice is run on a few coarse grids.  From powers fitted to its errors and costs follows how many cells it
+    needs and what that costs; the choice that promises to be cheapest is run with so many cells, what is measured
+    takes the place of the promise, and so on until the cheapest one is a measured one.
+
+    Parameters
+    ----------
+    scene
+        As for :func:`tradeoff`.
+    tolerance
+        Largest error.
+    quantity
+        Which error; the problem's own, or the first one, if not given.
+    choices
+        Ways to compute to choose from; the problem's if not given.
+    pilots
+        Numbers of cells of the first runs, at least two; the first three of the problem if not given.
+    most
+        Largest number of cells to consider; four times the finest pilot if not given.
+    simpler
+        Smaller models to compare with, as arguments by name, such as ``{"elastic": {"material": LinearElastic(...)}}``;
+        those of the problem if not given.
+    cost
+        What is to be least: ``cpu_s``, which other work on the machine disturbs least, ``wall_s`` or ``memory_mb``.
+    repeats
+        Timed runs of the recommended choice.
+    out
+        Folder in which all runs are kept, as ``cheapest.json`` and ``cheapest.csv``; what is there is not run again.
+    progress
+        Wraps the runs to come, as ``tqdm.tqdm`` does.
+    fixed
+        Other arguments that all choices share, such as ``steps=1``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument does not fit, or no pilot can be run.
+
+    Examples
+    --------
+    >>> answer = cheapest("cylinder", 0.05, steps=1, dim=1, choices=[{"method": "mpm"}, {"method": "gc"}],
+    ...                   pilots=[5, 10], simpler={}, repeats=1)
+    >>> answer.reached, answer.row["error_all"] <= 0.05
+    (True, True)
+    """
+    problem = find_problem(scene)
+    check_positive("tolerance", tolerance)
+    check_choice("cost", cost, COSTS)
+    pilots = sorted(set(problem.cells[:3] if pilots is None else pilots))
+    if len(pilots) < 2:
+        raise ValueError(f"pilots: got {pilots}, expected at least two numbers of cells, from which to go on.")
+    ways = [{**way, **fixed} for way in (problem.choices if choices is None else choices)]
+    search = _Search(problem, float(tolerance), quantity or problem.quantity, cost, most or MORE * pilots[-1],
+                     {"name": "cheapest", "out": out, "progress": progress, "memory": cost == "memory_mb"})
+    search.pilot(ways, pilots)
+    choice, predicted, reached = search.best()
+    row, = search.run([choice], repeats)
+    models = problem.simpler if simpler is None else simpler
+    smaller = tuple(search.compare(name, change, choice, row) for name, change in models.items()
+                    if changes(problem.make, choice, change))
+    return Recommendation(reached, choice, predicted, row, search.tolerance, search.quantity or "", cost,
+                          tuple(search.notes), smaller, tuple(search.rows))
+
+
+class _Search:
+    """Runs so far, and what they promise."""
+
+    def __init__(self, problem: Problem, tolerance: float, quantity: str | None, cost: str, most: int,
+                 how: dict[str, Any]):
+        self.problem, self.tolerance, self.quantity, self.cost, self.most = problem, tolerance, quantity, cost, most
+        self.how = how
+        self.rows: list[Row] = []
+        self.notes: list[str] = []
+        self.found: list[tuple[Choice, dict[int, Row]]] = []         # ways to compute; their rows by number of cells
+
+    def run(self, choices: Sequence[Choice], repeats: int = 1) -> list[Row]:
+        """Rows of choices, which have their cells."""
+        study = tradeoff(self.problem, choices=choices, repeats=repeats, **self.how)
+        if study.quantities:
+            self.quantity = study.error_name(self.quantity)[len("error_"):]
+        self.rows += study.rows
+        return list(study.rows)
+
+    def pilot(self, ways: Sequence[Choice], pilots: Sequence[int]) -> None:
+        """The first runs of every way to compute; those of which none can be run fall out."""
+        rows = iter(self.run([{**way, "cells": cells} for way in ways for cells in pilots]))
+        for way in ways:
+            mine = {cells: next(rows) for cells in pilots}
+            done = {cells: row for cells, row in mine.items() if row["status"] == "done"}
+            if done:
+                self.found.append((way, done))
+            else:
+                self.notes.append(f"{label(way)} falls out: {mine[pilots[-1]]['reason'][:160]}")
+        if not self.found:
+            raise ValueError("choices: got none that can be run; " + " ".join(self.notes))
+
+    def trend(self, done: Mapping[int, Row]) -> Trend:
+        """Error and cost of one way to compute over its numbers of cells."""
+        return Trend(list(done), [row[f"error_{self.quantity}"] for row in done.values()],
+                     [row[self.cost] for row in done.values()])
+
+    def best(self) -> tuple[Choice, dict[str, float], bool]:
+        """The choice to recommend, what was predicted of it, and whether it is within the tolerance."""
+        predicted: dict[str, dict[str, float]] = {}
+        for _ in range(TRIES):
+            promising = self._promising()
+            if promising is None:
+                break
+            way, done, cells = promising
+            choice, trend = {**way, "cells": cells}, self.trend(done)
+            promise = predicted.setdefault(key(choice), {"error": trend.error_at(cells), "cost": trend.cost_at(cells)})
+            if cells in done:
+                self._warn(trend, cells)
+                return choice, promise, True
+            row, = self.run([choice])
+            if row["status"] == "done":
+                done[cells] = row
+            else:
+                self.found = [each for each in self.found if each[0] is not way]
+                self.notes.append(f"{label(way)} falls out with {cells} cells: {row['reason'][:160]}")
+        return *self._closest(), False
+
+    def _promising(self) -> tuple[Choice, dict[int, Row], int] | None:
+        """The way that promises to be the cheapest one within the tolerance, and how many cells it needs."""
+        offers: list[tuple[float, int, Choice, dict[int, Row], int]] = []
+        for way, done in self.found:
+            trend = self.trend(done)
+            cells = trend.needed(self.tolerance)
+            if cells is not None and cells <= self.most:
+                offers.append((trend.cost_at(cells), len(offers), way, done, cells))
+        return min(offers)[2:] if offers else None
+
+    def _warn(self, trend: Trend, cells: int) -> None:
+        if cells != trend.cells[0] and not trend.asymptotic:
+            self.notes.append("its runs are not in the asymptotic range (orders " + _orders(trend) + "): do not expect "
+                              "the error to go on falling")
+
+    def _closest(self) -> tuple[Choice, dict[str, float]]:
+        """The run with the smallest error, after a word on why no way gets there."""
+        for way, done in self.found:
+            trend = self.trend(done)
+            needed = trend.needed(self.tolerance)
+            why = (f"stalls (orders {_orders(trend)})" if needed is None else
+                   f"would need some {needed} cells, more than {self.most}" if needed > self.most else
+                   f"was not found within {TRIES} runs")
+            self.notes.append(f"{label(way)} {why}")
+        error, _, way, cells, row = min((row[f"error_{self.quantity}"], index, way, cells, row)
+                                        for index, (way, done) in enumerate(self.found)
+                                        for cells, row in done.items())
+        return {**way, "cells": cells}, {"error": error, "cost": row[self.cost]}
+
+    def compare(self, name: str, change: Choice, choice: Choice, row: Row) -> Smaller:
+        """What a smaller model gives instead of the recommended choice."""
+        other, = self.run([{**choice, **change}])
+        if other["status"] != "done":
+            return Smaller(name, change, np.nan, np.nan, False, other["reason"])
+        error, cost = other[f"error_{self.quantity}"], other[self.cost]
+        good = error <= max(self.tolerance, 1.01 * row[f"error_{self.quantity}"])
+        return Smaller(name, change, error, cost, bool(good and cost < row[self.cost]))
+
+
+def _orders(trend: Trend) -> str:
+    return ", ".join(f"{order:.2g}" for order in trend.orders) or "none"

@@ -1,0 +1,88 @@
+"""The scenes that ship, ready to be studied: how to make them, and the choices and sizes that are worth a look."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from .. import scenes
+from ..checks import check_choice
+from .choices import Choice
+
+STRETCHED = {"domains": "stretched"}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A scene to study.
+
+    Attributes
+    ----------
+    name
+        What tables call it.
+    make
+        A function that makes the scene; of its arguments those that a choice names are given to it.
+    choices
+        Ways to compute it that are worth a look.
+    cells
+        Values of ``cells`` to study; the first ones are the pilots of :func:`skfem_mpm.study.cheapest`.
+    quantity
+        The error that counts, if nothing else is said.
+    simpler
+        Smaller models by name, as arguments that make them.
+    """
+
+    name: str
+    make: Callable[..., Any]
+    choices: tuple[Choice, ...] = ({"method": "mpm"}, {"method": "gimp"}, {"method": "cmpm-c"})
+    cells: tuple[int, ...] = (10, 20, 40)
+    quantity: str | None = None
+    simpler: Mapping[str, Choice] = field(default_factory=dict)
+
+
+def column(cells: int = 16, per_cell: int = 2, dim: int = 1, **more: Any) -> scenes.SelfWeight:
+    """:func:`skfem_mpm.scenes.column` by the number of cells along its height."""
+    return scenes.column(0.8 / cells, per_cell=per_cell, dim=dim, **more)
+
+
+def cut(cells: int = 10, per_cell: int = 2, loading: str = "sudden", **more: Any) -> scenes.VerticalCut:
+    """:func:`skfem_mpm.scenes.vertical_cut` by the number of cells along its height."""
+    return scenes.vertical_cut(1 / cells, per_cell=per_cell, loading=loading, **more)
+
+
+PROBLEMS = {problem.name: problem for problem in (
+    Problem("cylinder", scenes.cylinder,
+            choices=({"method": "mpm"}, {"method": "mpm", "weights": "interior"}, {"method": "gimp"},
+                     {"method": "gimp", "weights": "overlap"}, {"method": "gimp", **STRETCHED},
+                     {"method": "cmpm"}, {"method": "gc"}, {"method": "gc", **STRETCHED},
+                     {"method": "cmpm", "integration": "field2"}, {"method": "mpm", "integration": "cubic"},
+                     {"method": "mpm", "integration": "dual"}),
+            cells=(10, 20, 40, 80), quantity="all",
+            simpler={"on a line": {"dim": 1}, "small strain": {"strain": "small"}}),
+    Problem("column", column,
+            choices=({"method": "mpm"}, {"method": "gimp"}, {"method": "gimp", **STRETCHED},
+                     {"method": "gc", **STRETCHED}, {"method": "gc", "integration": "field2", **STRETCHED},
+                     {"method": "mpm", "integration": "cubic"}, {"method": "mpm", "integration": "dual"},
+                     {"method": "gimp", "integration": "dual", **STRETCHED}),
+            cells=(8, 16, 32, 64), quantity="all", simpler={"in one dimension": {"dim": 1}}),
+)}
+
+
+def find_problem(scene: Any) -> Problem:
+    """The problem of a name, of a function that makes a scene, or itself.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If it is none of these.
+    """
+    if isinstance(scene, Problem):
+        return scene
+    if isinstance(scene, str):
+        check_choice("scene", scene, PROBLEMS)
+        return PROBLEMS[scene]
+    if not callable(scene) or hasattr(scene, "run"):
+        raise TypeError(f"scene: got {type(scene).__name__}, expected a name such as 'cylinder', or a function that "
+                        "makes a scene, so that it can be made with other cells.")
+    return Problem(getattr(scene, "__name__", type(scene).__name__), scene)

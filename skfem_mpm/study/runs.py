@@ -1,0 +1,124 @@
+"""One run of a choice: untimed, for its errors and its peak memory; or timed, for nothing but its seconds."""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import pickle
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from .choices import Choice, make_scene
+
+# What a run that cannot go on raises: everything that the library says, and what numpy and the machine add.
+FAILURES = (ValueError, RuntimeError, ArithmeticError, MemoryError, ImportError)
+MAKE = Callable[..., Any]
+
+
+def measured(make: MAKE, choice: Choice) -> dict[str, Any]:
+    """Errors and sizes of one run: columns of a row; ``status`` is ``failed`` and says the reason if it stops."""
+    last: list[Any] = []
+    try:
+        scene, options = make_scene(make, choice)
+        errors = _measure(scene, _watched(scene.run(**options), last))
+        status = {"status": "done", "reason": ""}
+    except FAILURES as failure:
+        errors, status = {}, {"status": "failed", "reason": f"{type(failure).__name__}: {failure}"}
+    sizes = [{"points": state.particles.n, "steps_done": state.step, "engine_used": getattr(state, "engine", None)}
+             for state in last]
+    return {**status, **(sizes[0] if sizes else {}), "errors": {name: float(value) for name, value in errors.items()}}
+
+
+def _watched(states: Iterable[Any], last: list[Any]) -> Iterator[Any]:
+    """The states as they come; the latest one is kept in ``last``."""
+    for state in states:
+        last[:] = [state]
+        yield state
+
+
+def _measure(scene: Any, states: Iterable[Any]) -> dict[str, float]:
+    """Named errors of a run: the scene's own measure; or those of its last state, and of its worst one."""
+    if hasattr(scene, "measure"):
+        return scene.measure(states)
+    history = [scene.errors(state) if hasattr(scene, "errors") else {"error": scene.error(state)} for state in states]
+    if not history:
+        raise ValueError("scene: got a run without states, expected one that yields at least one.")
+    worst = {f"{name}_worst": max(errors[name] for errors in history) for name in history[-1]}
+    return {**history[-1], **(worst if len(history) > 1 else {})}
+
+
+def measured_apart(make: MAKE, choice: Choice) -> dict[str, Any]:
+    """:func:`measured` in a process of its own, with ``memory_mb``: how far its memory grew, in megabytes.
+
+    It is what the operating system counts, so the factors of a solver are in it, and a compiler where one is needed.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    child = context.Process(target=_report, args=(theirs, make, dict(choice)))
+    child.start()
+    theirs.close()
+    try:
+        return ours.recv()
+    except EOFError:
+        child.join()
+        return {"status": "failed", "reason": f"its process ended with exit code {child.exitcode}, for want of memory "
+                                              "perhaps", "errors": {}}
+    finally:
+        if child.is_alive() and child.exitcode is None:
+            child.join(1)
+        child.terminate()
+        child.join()
+
+
+def _report(pipe: Any, make: MAKE, choice: Choice) -> None:
+    before = _peak()
+    found = measured(make, choice)
+    pipe.send({**found, "memory_mb": _peak() - before})
+    pipe.close()
+
+
+def _peak() -> float:
+    """The most memory that this process has held so far, in megabytes; not a number where the system does not say."""
+    try:
+        import resource
+    except ImportError:                 # no Unix
+        return np.nan
+    unit = 1e6 if sys.platform == "darwin" else 1e3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+
+def timed(make: MAKE, choice: Choice) -> dict[str, float]:
+    """Seconds of one run, nothing else done meanwhile: to make the scene, and by the clock and the processor to run."""
+    start = time.perf_counter()
+    scene, options = make_scene(make, choice)
+    setup = time.perf_counter() - start
+    gc.collect()
+    wall, cpu = time.perf_counter(), time.process_time()
+    deque(scene.run(**options), maxlen=0)
+    return {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+
+
+def compiled(make: MAKE, choice: Choice) -> float:
+    """Seconds that a first state takes longer than the same once more: to import and compile what a run needs."""
+    seconds = []
+    for _ in range(2):
+        scene, options = make_scene(make, choice)
+        start = time.perf_counter()
+        states = iter(scene.run(**options))
+        next(states)
+        seconds.append(time.perf_counter() - start)
+    return max(seconds[0] - seconds[1], 0.0)
+
+
+def check_sendable(make: MAKE, need: str) -> None:
+    """Refuse a scene that no other process can be given."""
+    try:
+        pickle.dumps(make)
+    except (pickle.PicklingError, AttributeError, TypeError) as failure:
+        raise TypeError(f"scene: got {make!r}, which cannot be sent to another process ({failure}); expected a "
+                        f"function at the top of a module. {need}") from None
