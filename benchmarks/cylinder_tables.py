@@ -1,4 +1,4 @@
-"""The tables of docs/results.md about the cylinder, as Markdown: errors, orders, reactions, Newton's method, choices.
+"""The tables of docs/cylinder.md about the cylinder, as Markdown: errors, orders, reactions, Newton's method, choices.
 
     python benchmarks/cylinder_tables.py            all tables, some minutes on 2 cores
     python benchmarks/cylinder_tables.py --quick    smaller ones, a few seconds

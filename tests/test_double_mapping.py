@@ -424,7 +424,7 @@ def test_an_impossible_step_stops_with_the_last_good_state(name):
 
 
 def test_a_step_that_creeps_is_given_up_early():
-    """Cells cut obliquely have modes that points hardly resist and the mapped stiffness does; see docs/results.md."""
+    """Cells cut obliquely have modes that points hardly resist and the mapped stiffness does; see docs/cylinder.md."""
     with pytest.raises(NotConvergedError, match=r"the residual stayed at .* after (2[6-9]|[3-9]\d) Newton passes"):
         next(ring().run("mpm", steps=1, integration="dm", max_cuts=0))
     assert next(ring().run("mpm", steps=1, integration="dm-stress")).residuals[-1] <= 1e-11

@@ -82,7 +82,7 @@ def find_problem(scene: Any) -> Problem:
     if isinstance(scene, str):
         check_choice("scene", scene, PROBLEMS)
         return PROBLEMS[scene]
-    if not callable(scene) or hasattr(scene, "run"):
+    if not callable(scene):
         raise TypeError(f"scene: got {type(scene).__name__}, expected a name such as 'cylinder', or a function that "
                         "makes a scene, so that it can be made with other cells.")
     return Problem(getattr(scene, "__name__", type(scene).__name__), scene)

@@ -1,0 +1,171 @@
+"""Error against cost for the scenes that ship: runs the studies, and writes docs/results.md from what they found.
+
+    python benchmarks/results.py                    all studies, half an hour on a machine that does nothing else
+    python benchmarks/results.py --only column      one of them; the others' tables are taken as they are
+    python benchmarks/results.py --draw             no runs: figures and page from the tables
+    python benchmarks/results.py --quick --out DIR  coarse grids, two minutes, page, tables and figures in DIR
+
+Tables go to docs/data/tradeoff_NAME.csv and .json, figures to docs/figures/tradeoff_NAME.png.  A study that was
+interrupted goes on where it was; delete its .json to have it run anew.
+"""
+
+import argparse
+import textwrap
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+from tqdm import tqdm
+
+from skfem_mpm import plot, study
+
+DOCS = Path(__file__).parents[1] / "docs"
+TOLERANCES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0002, 0.0001)
+
+
+@dataclass(frozen=True)
+class Page:
+    """A study, and what to say about it."""
+
+    title: str
+    scene: str
+    quantity: str
+    about: str                              # what is measured
+    words: str                              # what to choose, when
+    axes: dict = field(default_factory=dict)
+    quick: dict = field(default_factory=dict)
+
+
+PAGES = {
+    "cylinder_1": Page(
+        "The cylinder, one step", "cylinder", "all",
+        "One step of 1.5 cm, points where they start. The error is the rms of q over all points, relative to the "
+        "largest q.", "", {"steps": [1]}, {"cells": [10, 20]}),
+    "cylinder_50": Page(
+        "The cylinder, fifty steps", "cylinder", "all",
+        "Fifty steps to equilibrium; the inner wall moves by three quarters of its radius and points cross cells. The "
+        "error is that of step 50.", "", {"steps": [50]}, {"cells": [10, 20], "steps": [10]}),
+    "column": Page(
+        "The column under its own weight", "column", "all",
+        "A column that shortens to two thirds in fifty steps. The error is the rms of stress over all points at the "
+        "end, relative to the largest.", "", {}, {"cells": [8, 16], "steps": [10]}),
+}
+
+# -- text -------------------------------------------------------------------------------------------------------------
+
+
+def percent(error):
+    return f"{100 * error:.2g} %"
+
+
+def front_table(found, page):
+    """The Pareto set, the cheapest first."""
+    rows = [["choice", "cells", "error", "seconds (least to most)", "memory / MB"]]
+    for row in found.front(page.quantity):
+        rows.append([f"`{found.label(row)}`", row["cells"], percent(row[found.error_name(page.quantity)]),
+                     f"{row['wall_s']:.3g} ({row['wall_s_least']:.3g} to {row['wall_s_most']:.3g})",
+                     f"{row['memory_mb']:.2g}" if row.get("memory_mb") else "below what starting takes"])
+    return markdown(rows)
+
+
+def cheapest_table(found, page):
+    """For round tolerances, the cheapest row that is within."""
+    name, rows = found.error_name(page.quantity), [["within", "cheapest choice", "cells", "error", "seconds"]]
+    for tolerance in TOLERANCES:
+        good = [row for row in found.front(page.quantity) if row[name] <= tolerance]
+        if good:
+            best = good[0]
+            line = [f"`{found.label(best)}`", best["cells"], percent(best[name]), f"{best['wall_s']:.3g}"]
+            if not (len(rows) > 1 and rows[-1][1:] == line):
+                rows.append([percent(tolerance), *line])
+            else:
+                rows[-1][0] = percent(tolerance)
+    return markdown(rows)
+
+
+def markdown(rows):
+    lines = ["| " + " | ".join(map(str, row)) + " |" for row in rows]
+    return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
+
+
+def against_mpm(found, page):
+    """How much better the best choice is that takes no longer than plain mpm on its finest grid."""
+    name = found.error_name(page.quantity)
+    plain = [row for row in found.rows if found.label(row) == "mpm" and row["status"] == "done"]
+    if not plain:
+        return ""
+    finest = max(plain, key=lambda row: row["cells"])
+    best = min((row for row in found.rows if row["status"] == "done" and row["wall_s"] <= finest["wall_s"]),
+               key=lambda row: row[name])
+    return (f"Plain `mpm` with {finest['cells']} cells takes {finest['wall_s']:.3g} s and is off by "
+            f"{percent(finest[name])}. In no more time `{found.label(best)}` with {best['cells']} cells is off by "
+            f"{percent(best[name])}, {finest[name] / best[name]:.0f} times less.")
+
+
+def failures(found):
+    lines = [f"`{found.label(row)}` with {row['cells']} cells: {row['reason'][:200]}" for row in found.rows
+             if row["status"] == "failed"]
+    return "Runs that failed: " + "; ".join(lines) if lines else ""
+
+
+def section(name, page, found):
+    command = f"`python benchmarks/results.py --only {name}`"
+    parts = [f"## {page.title}", page.about, page.words,
+             f"![error against seconds and against memory](figures/tradeoff_{name}.png)",
+             f"{command}; every run is in [tradeoff_{name}.csv](data/tradeoff_{name}.csv).",
+             against_mpm(found, page), "The runs that no other beats in both error and seconds:",
+             front_table(found, page), "The cheapest for round tolerances:", cheapest_table(found, page),
+             failures(found)]
+    return "\n\n".join(part if part.startswith("|") or part.startswith("!") else textwrap.fill(
+        part, 120, break_long_words=False, break_on_hyphens=False) for part in parts if part)
+
+
+HEAD = """# Results: error against cost
+
+<!-- Written by benchmarks/results.py from docs/data/tradeoff_*.json; edit that script, not this page. -->
+
+Every study here runs each choice on several grids, once untimed for its errors and its peak memory, then three times
+alone on the machine in rounds over all choices. Seconds are by the clock, without making the scene and without
+compiling; the least and the most of the three runs stand beside the median. How to run such a study of a scene of your
+own: [trade](trade.md). The cylinder in more detail: [the cylinder in numbers](cylinder.md)."""
+
+
+def page_of(studies):
+    about = next(iter(studies.values())).about
+    versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items() if version)
+    machine = (f"Machine: {about['machine']}, {about['system']}, {about['cores']} cores, one thread; Python "
+               f"{about['python']}, {versions}; {about['date'][:10]}.")
+    texts = [HEAD, textwrap.fill(machine, 120)]
+    return "\n\n".join(texts + [section(name, PAGES[name], found) for name, found in studies.items()]) + "\n"
+
+
+# -- the work ---------------------------------------------------------------------------------------------------------
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="coarse grids and few steps")
+    parser.add_argument("--only", nargs="+", choices=PAGES, default=list(PAGES), metavar="NAME", help=", ".join(PAGES))
+    parser.add_argument("--draw", action="store_true", help="no runs")
+    parser.add_argument("--out", type=Path, default=DOCS, help="folder with data, figures and the page")
+    options = parser.parse_args()
+    if options.quick and options.out == DOCS:
+        parser.error("--quick: give another folder by --out; the page has the full studies.")
+    data, figures = options.out / "data", options.out / "figures"
+    for folder in (data, figures):
+        folder.mkdir(parents=True, exist_ok=True)
+    for name in () if options.draw else options.only:
+        page = PAGES[name]
+        axes = {**page.axes, **(page.quick if options.quick else {})}
+        study.tradeoff(page.scene, **axes, out=data, name=f"tradeoff_{name}",
+                       progress=lambda runs, name=name: tqdm(runs, desc=name, unit="run"))
+    studies = {name: study.load(data, f"tradeoff_{name}") for name in PAGES
+               if (data / f"tradeoff_{name}.json").exists()}
+    for name, found in studies.items():
+        plot.trade(found, PAGES[name].quantity).savefig(figures / f"tradeoff_{name}.png", dpi=120)
+    (options.out / "results.md").write_text(page_of(studies))
+
+
+if __name__ == "__main__":
+    main()
