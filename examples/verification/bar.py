@@ -22,10 +22,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from scipy.optimize import curve_fit
-from skfem import MeshLine
 
-from skfem_mpm import METHODS, LinearElastic, Particles, explicit_steps, uniaxial
-from skfem_mpm.boundary import FixedPlane
+from skfem_mpm import METHODS
+from skfem_mpm.scenes import bar
 
 COLOURS = {"usf": "tab:red", "usl": "tab:blue", "musl": "tab:green"}
 L, C, V0 = 25.0, 10.0, 0.1
@@ -44,15 +43,10 @@ methods = ["mpm"] if options.quick else [name for name, method in METHODS.items(
 
 def vibrate(method, integrator, n, cells, until):
     """Times and velocity of the centre of mass."""
-    h, b = L / cells, (2 * n - 1) * np.pi / (2 * L)
-    lines = h * np.arange(-1, cells + 2)
-    bar = Particles.fill(MeshLine(lines[1:-1]), uniaxial, density=1.0)
-    start = Particles(bar.x, bar.volume, bar.mass, uniaxial, length=bar.length, velocity=V0 * np.sin(b * bar.x))
-    steps = round(until / (0.1 * h / C))
-    found = [(0.0, start.velocity[0].mean())]
-    for state in explicit_steps(MeshLine(lines), start, LinearElastic(E=C ** 2, nu=0.0),
-                                [FixedPlane(0, 0.0, -1, name="end")], steps=steps, every=2, method=method,
-                                integrator=integrator, dt=until / steps):
+    scene = bar(cells, mode=n, ends="fixed", speed=V0, length=L, E=C ** 2)
+    steps = round(until / (0.1 * L / cells / C))
+    found = [(0.0, scene.particles.velocity[0].mean())]
+    for state in scene.run(method, steps=steps, every=2, integrator=integrator, dt=until / steps):
         found.append((state.time, state.particles.velocity[0].mean()))
     return np.array(found).T
 
