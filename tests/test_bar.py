@@ -286,3 +286,29 @@ def test_bad_numbers_are_refused(choices, message):
 
 def test_a_bar_that_is_held_may_be_told_that_it_does_not_drift():
     assert bar(ends="fixed", drift=0.0).drift == bar(ends="fixed").drift == 0
+
+
+# The implicit solver
+
+
+def test_implicit_steps_are_of_second_order_in_time():
+    """On a fine grid that the bar does not cross, the time step is what is left, and no state is half a step late."""
+    scene = bar(cells=64, drift=0.0)
+    errors = [scene.measure(scene.run("gimp", solver="implicit", dt=scene.period / count))["velocity"]
+              for count in (8, 16, 32)]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert (orders > 1.7).all() and (orders < 2.3).all()
+
+
+def test_implicit_steps_end_at_the_end_and_keep_energy_while_points_cross():
+    scene = bar(cells=16)
+    *_, state = states = list(scene.run("gimp", solver="implicit", dt=scene.period / 40.5))
+    assert len(states) == 41
+    assert_allclose(state.time, scene.end, rtol=1e-12)
+    assert scene.measure(states)["energy"] < 0.01
+    assert scene.measure(states)["velocity"] < 0.02
+
+
+def test_a_solver_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="solver: got 'both', expected one of 'explicit', 'implicit'"):
+        bar().run(solver="both")

@@ -1,4 +1,4 @@
-r"""An elastic bar that vibrates: held at one end, or free and in flight across the grid; explicit, with a closed form.
+r"""An elastic bar that vibrates: held at one end, or free and in flight across the grid; with a closed form.
 
 Along the bar :math:`\rho_0 \ddot u = \partial P / \partial X`.  In one dimension nominal and Cauchy stress are the
 same, :math:`P = E \ln(1 + u')` of the law here and :math:`E u'` for small amplitudes, whose waves have the speed
@@ -19,13 +19,16 @@ from skfem import ElementLineP1, ElementVector, Mesh, MeshLine
 from ..boundary import FixedPlane
 from ..checks import check_choice, check_positive
 from ..explicit import ExplicitState, explicit_steps
+from ..implicit import State, implicit_steps
 from ..kinematics import uniaxial
 from ..materials import LinearElastic
 from ..particles import Particles
 from .errors import normal_stress
 
 ENDS = ("free", "fixed")
+SOLVERS = ("explicit", "implicit")
 SNAPSHOTS = 32          # states in a period, if nothing else is said
+IMPLICIT = 64           # steps of the implicit solver in a period, if nothing else is said
 SPARE = 2               # cells of the grid beyond wherever the bar gets
 
 
@@ -36,7 +39,7 @@ class Bar:
     Attributes
     ----------
     mesh, elem, particles, material, boundary
-        What :func:`skfem_mpm.explicit_steps` takes.
+        What the solvers take.
     ends
         ``free``, or ``fixed`` at the first one.
     wave_number, wave_speed
@@ -62,20 +65,32 @@ class Bar:
     period: float
     end: float
 
-    def run(self, method: str = "mpm", steps: int | None = None, start: ExplicitState | None = None,
-            **choices: Any) -> Iterator[ExplicitState]:
+    def run(self, method: str = "mpm", steps: int | None = None, start: Any = None, solver: str = "explicit",
+            **choices: Any) -> Iterator[Any]:
         """Yield states until the scene's :attr:`end`, or of ``steps`` time steps, whatever time these take.
 
         Calls :func:`skfem_mpm.explicit_steps` with this scene and ``choices``.  Whatever these are, a run without
         ``steps`` covers the same span of time: it ends with the first state that is yielded at the end or after it.
         If neither ``every`` nor ``every_seconds`` is given, states are yielded at (the steps next after) equal
-        distances of time, 32 in a period.
+        distances of time, 32 in a period.  With ``solver="implicit"`` :func:`skfem_mpm.implicit_steps` does it, at
+        small strain, in equal steps of ``dt`` or a little less; in 64 of them a period if none is given.
         """
+        check_choice("solver", solver, SOLVERS)
+        if solver == "implicit":
+            return self._implicit(method, steps, start, choices)
         if not {"every", "every_seconds"} & set(choices):
             choices["every_seconds"] = self.end / np.ceil(SNAPSHOTS * self.end / self.period - 1e-9)
         run = explicit_steps(self.mesh, start or self.particles, self.material, self.boundary, method=method,
                              steps=10 ** 9 if steps is None else steps, **choices)
         return run if steps is not None else self._to_the_end(run, getattr(start, "time", 0.0))
+
+    def _implicit(self, method: str, steps: int | None, start: Any, choices: dict[str, Any]) -> Iterator[State]:
+        longest = choices.pop("dt", None) or self.period / IMPLICIT
+        left = self.end - getattr(start, "time", 0.0)
+        count = int(np.ceil(left / longest - 1e-9))
+        return implicit_steps(self.mesh, start or self.particles, self.material,
+                              None if isinstance(start, State) else self.boundary, method=method, dt=left / count,
+                              steps=count if steps is None else steps, **{"strain": "small", **choices})
 
     def _to_the_end(self, run: Iterator[ExplicitState], time: float) -> Iterator[ExplicitState]:
         end = self.end * (1 - 1e-9)                     # sums of time steps are rounded
