@@ -1,0 +1,287 @@
+"""Many realisations of a random scene, on any executor: each exactly once, the same numbers wherever it runs."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import re
+import sys
+from collections.abc import Callable, Generator, Iterator, Mapping
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib import metadata
+from itertools import islice
+from numbers import Integral
+from pathlib import Path
+from platform import python_version
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from .ledger import Ledger, Row
+from .processes import Processes, cores
+
+Function = Callable[[int, np.random.Generator], Mapping[str, float]]
+FAILURES = (ValueError, RuntimeError, ArithmeticError)      # of a realisation: the solvers' own errors are among them
+OWN = ("number", "status")                                  # what every row has
+FINISHED = "finished"
+DIED = "its worker died, also when it was done alone; it may need more memory than there is"
+PACKAGES = ("skfem-mpm", "scikit-fem", "numpy", "scipy", "numba")
+WHOLE: Any = Integral          # of types that mypy takes for any: it does not know that these can be compared
+
+
+def ensemble(function: Function, count: int, *, seed: int = 0, out: str | os.PathLike | None = None,
+             executor: Executor | None = None, workers: int | None = None, ahead: int | None = None,
+             progress: Callable[[int, int], Any] | None = None) -> list[Row]:
+    """Evaluate ``function(number, rng)`` for the numbers 0 to ``count - 1``, each exactly once.
+
+    Realisation ``k`` draws from child ``k`` of ``numpy.random.SeedSequence(seed)``: its numbers depend neither on
+    workers nor on what was done before.
+
+    A realisation that ends in a ``ValueError``, ``RuntimeError`` or ``ArithmeticError``, such as
+    :class:`~skfem_mpm.UnstableError`, is a row that says why.  Any other error is one of the program and ends the
+    ensemble.  A realisation under which a worker dies is done again: by Dask itself, or by new processes.  If one
+    still dies when it is done alone, it is a row that says so.
+
+    Parameters
+    ----------
+    function
+        Gives a dict of numbers.  For processes it is a function of a module, or a ``functools.partial`` of one.
+    count
+        How many realisations.
+    seed
+        A whole number.
+    out
+        A file of JSON lines that rows are appended to as they come.  An ensemble that was interrupted, at any moment,
+        goes on from it, and one that was finished can be given a larger ``count``.  The file belongs to the function
+        with its arguments (as ``repr`` shows them), the seed and the versions of packages.  One ensemble at a time
+        writes to it.
+    executor
+        Any ``concurrent.futures.Executor``; for Dask ``distributed.Client(...).get_executor()``.  It stays open.  If
+        not given, processes are spawned, and stopped at the end.
+    workers
+        How many of these; one per core if not given.
+    ahead
+        How many realisations are handed out at once: twice the number of processes, or 1000 to an executor.
+    progress
+        Called as ``progress(done, count)``, at the start and after each realisation.
+
+    Returns
+    -------
+    list of dict
+        In order of ``number``; ``status`` is ``finished`` or the reason why not, the rest is what the function gave.
+
+    Raises
+    ------
+    TypeError
+        If an argument is of the wrong type, the function cannot be sent to processes, or does not give numbers.
+    ValueError
+        If a number is out of range, or ``out`` belongs to another function, seed or version.
+    RuntimeError
+        If processes do not start, or those of a given executor have died.
+
+    Examples
+    --------
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> def mean(number, rng):
+    ...     return {"mean": rng.normal(size=100).mean()}
+    >>> with ThreadPoolExecutor() as threads:
+    ...     rows = ensemble(mean, 3, seed=1, executor=threads)
+    >>> [row["number"] for row in rows], rows[0]["status"], abs(rows[0]["mean"]) < 0.5
+    ([0, 1, 2], 'finished', True)
+    """
+    _check(function, count, seed, executor, workers, ahead, progress)
+    name = _name(function)
+    if out is not None and re.search(" at 0x[0-9a-fA-F]+", name):
+        raise ValueError(f"function: got {name}, which has another name next time, so a file cannot say whose rows it "
+                         "has; expected a function, or a functools.partial with arguments that their repr shows.")
+    if executor is None or isinstance(executor, ProcessPoolExecutor):
+        function = _Pickled.of(function)
+    ledger = Ledger(None if out is None else Path(out), {"function": name, "seed": int(seed), "versions": _versions()})
+    missing = [number for number in range(count) if number not in ledger.rows]
+    report = progress or (lambda done, count: None)
+    try:
+        report(count - len(missing), count)
+        task = partial(_realise, function, int(seed))
+        with (_open(executor, workers, missing) as pool,
+              closing(_rows(pool, task, missing, ahead or _ahead(pool))) as rows):
+            for done, row in enumerate(rows, start=count - len(missing) + 1):
+                ledger.add(row)
+                report(done, count)
+    finally:
+        ledger.release()
+    ledger.sort()
+    return [ledger.rows[number] for number in range(count)]
+
+
+def generator(seed: int, number: int) -> np.random.Generator:
+    """The random generator of one realisation of an ensemble, to look at that one again.
+
+    It is that of child ``number`` of ``SeedSequence(seed).spawn(...)``.
+
+    Examples
+    --------
+    >>> spawned = np.random.SeedSequence(3).spawn(8)[7]
+    >>> generator(3, 7).random() == np.random.default_rng(spawned).random()
+    True
+    """
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+
+
+# -- what runs where --------------------------------------------------------------------------------------------------
+
+def _open(executor: Executor | None, workers: int | None, missing: list[int]) -> AbstractContextManager[Any]:
+    """The executor, which stays open, or processes, which do not; none of them for nothing to do."""
+    if executor is not None or not missing:
+        return nullcontext(executor)
+    return Processes(min(workers or cores(), len(missing)))
+
+
+def _ahead(executor: Executor | None) -> int:
+    return 2 * executor.workers if isinstance(executor, Processes) else 1000
+
+
+def _rows(executor: Executor, task: Callable[..., Row], numbers: list[int],
+          ahead: int) -> Generator[Row, None, None]:
+    """Rows as they come.
+
+    Nobody knows which realisation a worker died of: all that may have been in its hands are done again when the others
+    are done, one at a time, and then it is known.
+    """
+    suspects = []
+    try:
+        for number, row in _ended(executor, task, numbers, ahead):
+            if row is None:
+                suspects.append(number)
+            else:
+                yield row
+        for number in sorted(suspects):
+            yield _row(executor.submit(task, number, True)) or {"number": number, "status": DIED}
+    except BrokenExecutor as failure:
+        raise RuntimeError("executor: it is broken, for one of its workers died; go on with a new one, or without: own "
+                           "processes are replaced.") from failure
+
+
+def _ended(executor: Executor, task: Callable[..., Row], numbers: list[int],
+           ahead: int) -> Iterator[tuple[int, Row | None]]:
+    """Rows by number as they come, ``None`` where a worker died; so many are handed out ``ahead``."""
+    waiting = iter(numbers)
+    flying: dict[Future, int] = {}
+    ended: SimpleQueue[Future] = SimpleQueue()
+    try:
+        while True:
+            for number in islice(waiting, ahead - len(flying)):
+                future = executor.submit(task, number)
+                flying[future] = number
+                future.add_done_callback(ended.put)
+            if not flying:
+                return
+            future = ended.get()
+            yield flying.pop(future), _row(future)
+    finally:
+        for future in flying:
+            future.cancel()
+
+
+def _row(future: Future) -> Row | None:
+    """What a future ends with; ``None`` if a worker died."""
+    return None if _worker_died(future) else future.result()
+
+
+def _worker_died(future: Future) -> bool:
+    """Whether a future ended with its worker: Dask gives up after some deaths, a pool of processes at once."""
+    dask: Any = sys.modules.get("distributed")
+    return isinstance(future.exception(), (BrokenExecutor, dask.KilledWorker) if dask else BrokenExecutor)
+
+
+def _realise(function: Function, seed: int, number: int, alone: bool = False) -> Row:
+    """One row.  ``alone`` makes it another call: Dask answers one that it remembers with what it remembers."""
+    try:
+        values = function(number, generator(seed, number))
+    except FAILURES as failure:
+        return {"number": number, "status": f"{type(failure).__name__}: {failure}"}
+    if not isinstance(values, Mapping):
+        raise TypeError(f"function: got a {type(values).__name__} from it, expected a dict of numbers.")
+    return {"number": number, "status": FINISHED, **{name: _number(name, value) for name, value in values.items()}}
+
+
+def _number(name: Any, value: Any) -> float:
+    if not isinstance(name, str) or name in OWN:
+        raise TypeError(f"function: got the name {name!r} from it, expected a string other than {' and '.join(OWN)}.")
+    if np.ndim(value) or np.asarray(value).dtype.kind not in "fiub":
+        raise TypeError(f"function: got {value!r} as {name} from it, expected a number.")
+    return float(value)
+
+
+@dataclass(frozen=True)
+class _Pickled:
+    """A function as other processes get it."""
+
+    text: bytes
+
+    @classmethod
+    def of(cls, function: Function) -> _Pickled:
+        """Refuse here what would break a worker there."""
+        try:
+            return cls(pickle.dumps(function))
+        except (pickle.PicklingError, AttributeError, TypeError) as failure:
+            raise TypeError(f"function: got {function!r}, which cannot be sent to processes ({failure}); expected a "
+                            "function of a module, or a functools.partial of one; or give executor a "
+                            "ThreadPoolExecutor.") from None
+
+    def __call__(self, number: int, rng: np.random.Generator) -> Mapping[str, float]:
+        try:
+            function = pickle.loads(self.text)
+        except (AttributeError, ImportError) as failure:
+            raise TypeError(f"function: a worker process cannot import it ({failure}); expected a function in a module "
+                            "or a script that is a file.") from None
+        return function(number, rng)
+
+
+# -- what is asked ----------------------------------------------------------------------------------------------------
+
+def _check(function: Any, count: Any, seed: Any, executor: Any, workers: Any, ahead: Any, progress: Any) -> None:
+    """Refuse what makes no sense."""
+    if not callable(function):
+        raise TypeError(f"function: got {function!r}, expected a function of a number and a random generator.")
+    for name, number, least in [("count", count, 1), ("seed", seed, 0), ("workers", workers, 1), ("ahead", ahead, 1)]:
+        if number is None and name in ("workers", "ahead"):
+            continue
+        if not (isinstance(number, WHOLE) and number >= least):
+            raise ValueError(f"{name}: got {number!r}, expected a whole number of at least {least}.")
+    if executor is not None and not isinstance(executor, Executor):
+        raise TypeError(f"executor: got a {type(executor).__name__}, expected a concurrent.futures.Executor; of a Dask "
+                        "client give client.get_executor().")
+    if executor is not None and workers is not None:
+        raise ValueError(f"workers: got {workers} with an executor, which has its own; leave it out.")
+    if progress is not None and not callable(progress):
+        raise TypeError(f"progress: got {progress!r}, expected a function of the numbers done and to do.")
+
+
+def _name(function: Any) -> str:
+    """Name of a function with the arguments it was given, the same in every process."""
+    if isinstance(function, partial):
+        with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+            given = [repr(value) for value in function.args]
+            given += [f"{name}={value!r}" for name, value in sorted(function.keywords.items())]
+        return f"{_name(function.func)}({', '.join(given)})"
+    if not hasattr(function, "__qualname__") or hasattr(function, "__self__"):
+        return repr(function)
+    module = sys.modules.get(function.__module__)
+    script = getattr(module, "__file__", None) if function.__module__ == "__main__" else None
+    return f"{Path(script).stem if script else function.__module__}.{function.__qualname__}"
+
+
+@cache
+def _versions() -> dict[str, str]:
+    """Of what the last bits of a row depend on."""
+    found = {"python": python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "none"
+    return found
