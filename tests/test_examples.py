@@ -1,9 +1,11 @@
 """Every example runs on its own, writes what it promises, and its numbers are those that the documentation quotes."""
 
 import csv
+import json
+import os
 import subprocess
 import sys
-import tempfile
+import time
 from functools import cache
 from pathlib import Path
 
@@ -18,7 +20,6 @@ from skfem_mpm.scenes.cylinder_reference import lame
 ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").rglob("*.py"))
 KINDS = ["quick", pytest.param("full", marks=pytest.mark.slow)]
-FOLDER = tempfile.TemporaryDirectory()          # of results; the tests of verification problems look there too
 WEIGHTS = {"quick": ["one", "interior"], "full": ["one", "eq10", "interior", "overlap"]}
 STEPS = {"quick": 10, "full": 50}
 FIELDS = {"cmpm[field]": ("cmpm", "field", "fixed"), "cmpm[field2]": ("cmpm", "field2", "fixed"),
@@ -27,22 +28,47 @@ FIELDS = {"cmpm[field]": ("cmpm", "field", "fixed"), "cmpm[field2]": ("cmpm", "f
           "gimp[stretched]": ("gimp", "points", "stretched"), "gc[stretched]": ("gc", "points", "stretched")}
 
 
-def run(path, *arguments, cwd):
-    """Run an example in its own process, somewhere else; returns what it printed."""
+def launch(path, *arguments, cwd):
+    """Run an example in its own process, somewhere else; returns its exit code and what it printed and complained."""
     done = subprocess.run([sys.executable, str(path), *arguments], cwd=cwd, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "Traceback" not in done.stderr and "RuntimeWarning" not in done.stderr, done.stderr
-    return done.stdout
+    return done.returncode, done.stdout, done.stderr
+
+
+def sound(code, printed, complaints):
+    """What a run that went well has printed."""
+    assert code == 0, complaints
+    assert "Traceback" not in complaints and "RuntimeWarning" not in complaints, complaints
+    return printed
+
+
+def folder_of(path, kind):
+    """Where the run of an example in this session works."""
+    return Path(os.environ["RUNS_OF_EXAMPLES"]) / f"{path.stem}-{kind}"
 
 
 @cache
+def outcome(path, kind):
+    """What a run of an example ended with.  Whichever worker of the session asks first runs it; others wait."""
+    cwd = folder_of(path, kind)
+    answer, unfinished = cwd.with_suffix(".json"), cwd.with_suffix(".tmp")
+    try:
+        cwd.mkdir()
+    except FileExistsError:
+        deadline = time.monotonic() + 1800
+        while not answer.exists():
+            assert time.monotonic() < deadline, f"the worker that began {cwd.name} has not finished it"
+            time.sleep(0.1)
+    else:
+        arguments = ["--quick", "--out", "here"] if kind == "quick" else []
+        unfinished.write_text(json.dumps(launch(path, *arguments, cwd=cwd)))
+        unfinished.rename(answer)
+    return json.loads(answer.read_text())
+
+
 def results(path, kind):
-    """Runs an example once: the folder of its results, and what it printed."""
-    cwd = Path(FOLDER.name) / f"{path.stem}-{kind}"
-    cwd.mkdir()
-    printed = run(path, *(["--quick", "--out", "here"] if kind == "quick" else []), cwd=cwd)
+    """The folder of an example's results, and what it printed."""
     usual = Path("results") / path.relative_to(ROOT / "examples").with_suffix("")
-    return cwd / ("here" if kind == "quick" else usual), printed
+    return folder_of(path, kind) / ("here" if kind == "quick" else usual), sound(*outcome(path, kind))
 
 
 @pytest.fixture(params=KINDS)
@@ -66,7 +92,7 @@ def columns(path):
 @pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
 def test_an_example_states_its_question_and_says_how_to_use_it(path, tmp_path):
     assert path.read_text().startswith('"""') and "?" in path.read_text().splitlines()[0]
-    usage = run(path, "--help", cwd=tmp_path)
+    usage = sound(*launch(path, "--help", cwd=tmp_path))
     assert "--quick" in usage and "--out" in usage
     assert not list(tmp_path.iterdir())
 
@@ -77,7 +103,7 @@ def test_an_example_runs_from_anywhere_and_writes_pictures_and_tables_there_only
     out, printed = results(path, kind)
     assert printed.strip()
     assert {".png", ".csv"} <= {file.suffix for file in out.iterdir()}
-    cwd = Path(FOLDER.name) / f"{path.stem}-{kind}"
+    cwd = folder_of(path, kind)
     assert [file.name for file in cwd.iterdir()] == [out.relative_to(cwd).parts[0]]
     assert printed.rstrip().endswith(f"{out.name}.")
 
@@ -219,9 +245,8 @@ def test_the_answer_names_every_method_and_the_folder(cylinder):
 
 
 def test_unknown_options_are_refused(tmp_path):
-    done = subprocess.run([sys.executable, str(ROOT / "examples" / "cylinder.py"), "--fast"], cwd=tmp_path,
-                          capture_output=True, text=True)
-    assert done.returncode == 2 and "unrecognized arguments: --fast" in done.stderr
+    code, _, complaints = launch(ROOT / "examples" / "cylinder.py", "--fast", cwd=tmp_path)
+    assert code == 2 and "unrecognized arguments: --fast" in complaints
     assert not list(tmp_path.iterdir())
 
 

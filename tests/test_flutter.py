@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from skfem_mpm.grid import Grid
 LAW = {1: LinearElastic(E=1.0, nu=0.0), 2: LinearElastic(E=1.3 * 0.4 / 0.7, nu=0.3)}     # pressure waves of speed 1
 MAKE = {1: MeshLine, 2: MeshQuad.init_tensor}
 MOTION = {1: uniaxial, 2: plane_strain}
+FASTEST = "numba" if find_spec("numba") else "numpy"     # for long runs; test_engines says that they agree
 SYMMETRIC = [name for name, method in METHODS.items() if method.strain is method.force]
 FLUTTERING = [name for name in METHODS if name not in SYMMETRIC]
 symmetric_methods = pytest.mark.parametrize("method", SYMMETRIC)
@@ -177,9 +179,9 @@ def test_a_bar_grows_at_the_rate_of_its_eigenvalues_whatever_the_time_step(metho
 @pytest.mark.parametrize("dt", [0.4, 0.1])
 @fluttering_methods
 def test_a_block_grows_at_the_rate_of_its_eigenvalues_whatever_the_time_step(method, dt):
-    expected = growth(*shifted(2, 5, 0.24), method)
-    assert_allclose(growth_of_step(2, 5, method, dt), growth_of_long_steps(2, 5, method, dt), rtol=1e-3)
-    assert_allclose(growth_of_step(2, 5, method, dt), expected, rtol=0.1)
+    expected = growth(*shifted(2, 3, 0.24), method)
+    assert_allclose(growth_of_step(2, 3, method, dt), growth_of_long_steps(2, 3, method, dt), rtol=1e-3)
+    assert_allclose(growth_of_step(2, 3, method, dt), expected, rtol=0.1)
 
 
 @quiet
@@ -195,7 +197,7 @@ def test_energy_grows_until_the_run_is_stopped(method, safety):
     (1, 20, 3000), (2, 5, 400), pytest.param(2, 6, 5000, marks=pytest.mark.slow)], ids=["bar", "block", "block, long"])
 def test_energy_stays_with_conjugate_forces(method, dim, cells, steps):
     """It wobbles, as the velocities of symplectic steps are half a step off, and has no trend."""
-    _, energy = ringing(dim, cells, method, steps=steps, every=10)
+    _, energy = ringing(dim, cells, method, steps=steps, every=10, engine=FASTEST if steps > 400 else "numpy")
     assert 0.7 < energy.min() and energy.max() < 1.5
     first, second = np.array_split(energy, 2)
     assert_allclose(second.mean(), first.mean(), rtol=0.05)

@@ -700,7 +700,8 @@ def test_gravity_ramps_end_at_the_same_weight(method, scheme):
 # Bad input.
 
 @pytest.mark.parametrize("gravity, shape", [((-1.0,), r"\(1,\)"), (-9.81, r"\(\)"), ((0.0, 0.0, -1.0), r"\(3,\)"),
-                                            (np.zeros((2, 1)), r"\(2, 1\)"), (lambda step: -9.81, r"\(\)")], ids=str)
+                                            (np.zeros((2, 1)), r"\(2, 1\)"), (lambda step: -9.81, r"\(\)")],
+                         ids=["one", "number", "three", "column", "function"])
 def test_gravity_of_a_wrong_shape_is_refused(gravity, shape):
     with pytest.raises(ValueError, match=rf"^gravity: got shape {shape}, expected \(2,\), one entry per axis"):
         next(block(gravity=gravity))
