@@ -20,9 +20,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         return options.command(options)
-    except (ValueError, TypeError) as failure:
+    except (ValueError, TypeError, RuntimeError, OSError) as failure:
         print(f"skfem-mpm: {failure}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("skfem-mpm: interrupted; the same command goes on from here", file=sys.stderr)
+        return 130
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -52,11 +55,17 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _names(text: str) -> list[str]:
-    return text.split(",")
+    names = [part.strip() for part in text.split(",")]
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected names with commas between them")
+    return names
 
 
 def _whole(text: str) -> list[int]:
-    return [int(part) for part in text.split(",")]
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"got {text!r}, expected whole numbers with commas between them") from None
 
 
 def _tradeoff(options: argparse.Namespace) -> int:

@@ -8,8 +8,9 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy import ndarray
 
 # One colour per method; other arguments of a choice choose the marker.
@@ -24,7 +25,7 @@ def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequenc
     Parameters
     ----------
     axes
-        Where to draw; both axes become logarithmic.
+        Where to draw; both axes become logarithmic, if there is something to draw.
     cost, error
         ``(n,)``; runs where one is not a number are left out, and errors of zero.
     front
@@ -42,7 +43,8 @@ def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequenc
               label="front")
     seen: dict[str, int] = {}
     for kind in dict.fromkeys(kinds):
-        mine = [index for index, each in enumerate(kinds) if each == kind and shown[index]]
+        mine = sorted((index for index, each in enumerate(kinds) if each == kind and shown[index]),
+                      key=lambda index: cost[index])
         if not mine:
             continue
         group = groups[mine[0]]
@@ -51,14 +53,29 @@ def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequenc
         axes.plot(cost[mine], error[mine], marker=marker, ms=5, lw=0.9, color=colours[group], mec="white", mew=0.4,
                   label=kind, zorder=3 if set(mine) & set(best) else 2)
     axes.plot(cost[best], error[best], "o", ms=11, mfc="none", mec="0.25", mew=1.0, zorder=4)
-    axes.set(xscale="log", yscale="log")
-    if np.ptp(np.log10(cost[shown])) < 1 if shown.any() else False:         # less than a decade has hardly a tick
-        axes.xaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
-        axes.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(np.inf, np.inf)))
+    if not shown.any():
+        axes.text(0.5, 0.5, "no run has both", ha="center", transform=axes.transAxes)
     else:
-        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set(xscale="log", yscale="log")
+        _ticks(axes.xaxis, cost[shown])
+        _ticks(axes.yaxis, error[shown])
     axes.grid(alpha=0.3, which="major")
     axes.grid(alpha=0.12, which="minor")
+
+
+def _ticks(axis: Axis, values: ndarray) -> None:
+    """Numbers as people write them; a range of hardly more than a decade has them between the powers of ten too."""
+    few = values.max() < 30 * values.min()
+    axis.set_major_formatter(FuncFormatter(_number))
+    axis.set_minor_locator(LogLocator(subs=(2, 3, 5) if few else tuple(range(2, 10))))
+    axis.set_minor_formatter(FuncFormatter(_number) if few else NullFormatter())
+    if values.max() < 3 * values.min():
+        middle = np.sqrt(values.max() * values.min())
+        axis.set_view_interval(middle / 2, 2 * middle)
+
+
+def _number(value: float, position: int | None = None) -> str:
+    return f"{value:g}" if 1e-4 < value < 1e5 else f"$10^{{{np.log10(value):.0f}}}$"
 
 
 def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall_s", "memory_mb")) -> Figure:

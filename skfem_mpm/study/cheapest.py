@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..checks import check_choice, check_positive
-from .choices import Choice, changes, key, label
+from .choices import Choice, changes, crossed, distinct, key, label
 from .problems import Problem, find_problem
 from .store import Row
-from .trade import COSTS, Progress, tradeoff
+from .trade import COSTS, Progress, Study, tradeoff
 from .trend import Trend
 
 TRIES = 12                 # runs beyond the pilots
@@ -86,7 +86,8 @@ class Recommendation:
     rows: tuple[Row, ...]
 
     def __str__(self) -> str:
-        error, unit = self.row[f"error_{self.quantity}"], "MB" if self.cost == "memory_mb" else "s"
+        error = self.row.get(f"error_{self.quantity}", np.nan)
+        unit = "MB" if self.cost == "memory_mb" else "s"
         head = f"{label(self.choice)}, cells={self.choice['cells']}"
         if not self.reached:
             head = f"not reachable: {self.tolerance:.3g}; the best that was run is {head}"
@@ -149,20 +150,44 @@ def cheapest(scene: Any, tolerance: float, quantity: str | None = None, *, choic
     problem = find_problem(scene)
     check_positive("tolerance", tolerance)
     check_choice("cost", cost, COSTS)
+    check_positive("repeats", repeats)
     pilots = sorted(set(problem.cells[:3] if pilots is None else pilots))
-    if len(pilots) < 2:
-        raise ValueError(f"pilots: got {pilots}, expected at least two numbers of cells, from which to go on.")
-    ways = [{**way, **fixed} for way in (problem.choices if choices is None else choices)]
-    search = _Search(problem, float(tolerance), quantity or problem.quantity, cost, most or MORE * pilots[-1],
+    ways = distinct({**way, **fixed} for way in crossed(problem.choices if choices is None else choices))
+    most = _check_sizes(pilots, most, ways)
+    search = _Search(problem, float(tolerance), quantity or problem.quantity, cost, most,
                      {"name": "cheapest", "out": out, "progress": progress, "memory": cost == "memory_mb"})
     search.pilot(ways, pilots)
-    choice, predicted, reached = search.best()
-    row, = search.run([choice], repeats)
+    choice, predicted = search.best()
+    row, = search.run([choice], repeats).rows
+    reached = search.error(row) <= search.tolerance
     models = problem.simpler if simpler is None else simpler
     smaller = tuple(search.compare(name, change, choice, row) for name, change in models.items()
                     if changes(problem.make, choice, change))
     return Recommendation(reached, choice, predicted, row, search.tolerance, search.quantity or "", cost,
                           tuple(search.notes), smaller, tuple(search.rows))
+
+
+def _check_sizes(pilots: Sequence[int], most: int | None, ways: Sequence[Choice]) -> int:
+    """The largest number of cells to consider."""
+    given = [way["cells"] for way in ways if "cells" in way]
+    if given:
+        raise ValueError(f"cells: got {given[0]!r}, but the number of cells is what is looked for; give pilots and "
+                         "most.")
+    if len(pilots) < 2:
+        raise ValueError(f"pilots: got {pilots}, expected at least two numbers of cells, from which to go on.")
+    check_positive("pilots", pilots)
+    if most is not None and most < pilots[-1]:
+        raise ValueError(f"most: got {most}, expected at least the finest pilot, {pilots[-1]}; give coarser pilots.")
+    return MORE * pilots[-1] if most is None else most
+
+
+@dataclass
+class _Way:
+    """A way to compute, and its rows by number of cells; no others are run if it has ``stopped``."""
+
+    choice: Choice
+    done: dict[int, Row]
+    stopped: bool = False
 
 
 class _Search:
@@ -174,91 +199,123 @@ class _Search:
         self.how = how
         self.rows: list[Row] = []
         self.notes: list[str] = []
-        self.found: list[tuple[Choice, dict[int, Row]]] = []         # ways to compute; their rows by number of cells
+        self.ways: list[_Way] = []
 
-    def run(self, choices: Sequence[Choice], repeats: int = 1) -> list[Row]:
+    def run(self, choices: Sequence[Choice], repeats: int = 1) -> Study:
         """Rows of choices, which have their cells."""
         study = tradeoff(self.problem, choices=choices, repeats=repeats, **self.how)
+        self.rows += study.rows
+        return study
+
+    def error(self, row: Row) -> float:
+        """The error that counts; not a number if the run failed or does not have it."""
+        return row.get(f"error_{self.quantity}", np.nan) if row["status"] == "done" else np.nan
+
+    def pilot(self, choices: Sequence[Choice], pilots: Sequence[int]) -> None:
+        """The first runs of every way to compute; those of which none can be used fall out."""
+        study = self.run([{**choice, "cells": cells} for choice in choices for cells in pilots])
         if study.quantities:
             self.quantity = study.error_name(self.quantity)[len("error_"):]
-        self.rows += study.rows
-        return list(study.rows)
-
-    def pilot(self, ways: Sequence[Choice], pilots: Sequence[int]) -> None:
-        """The first runs of every way to compute; those of which none can be run fall out."""
-        rows = iter(self.run([{**way, "cells": cells} for way in ways for cells in pilots]))
-        for way in ways:
+        rows = iter(study.rows)
+        for choice in choices:
             mine = {cells: next(rows) for cells in pilots}
-            done = {cells: row for cells, row in mine.items() if row["status"] == "done"}
-            if done:
-                self.found.append((way, done))
+            way = _Way(choice, {cells: row for cells, row in mine.items() if self._usable(row)})
+            if way.done:
+                self.ways.append(way)
             else:
-                self.notes.append(f"{label(way)} falls out: {mine[pilots[-1]]['reason'][:160]}")
-        if not self.found:
-            raise ValueError("choices: got none that can be run; " + " ".join(self.notes))
+                self.notes.append(f"{label(choice)} falls out: {self._why(mine[pilots[-1]])}")
+        if not self.ways:
+            raise ValueError("choices: got none that can be run; " + "; ".join(self.notes))
 
-    def trend(self, done: Mapping[int, Row]) -> Trend:
+    def _usable(self, row: Row) -> bool:
+        return bool(np.isfinite(self.error(row)) and np.isfinite(row[self.cost]))
+
+    def _why(self, row: Row) -> str:
+        """Why a row cannot be used."""
+        missing = self.cost if np.isfinite(self.error(row)) else f"its error {self.quantity!r}"
+        return row["reason"][:160] or f"{missing} is not a finite number"
+
+    def trend(self, way: _Way) -> Trend:
         """Error and cost of one way to compute over its numbers of cells."""
-        return Trend(list(done), [row[f"error_{self.quantity}"] for row in done.values()],
-                     [row[self.cost] for row in done.values()])
+        rows = way.done.values()
+        return Trend(list(way.done), [self.error(row) for row in rows], [row[self.cost] for row in rows])
 
-    def best(self) -> tuple[Choice, dict[str, float], bool]:
-        """The choice to recommend, what was predicted of it, and whether it is within the tolerance."""
+    def best(self) -> tuple[Choice, dict[str, float]]:
+        """The choice to recommend, which was run, and what was predicted of it."""
         predicted: dict[str, dict[str, float]] = {}
         for _ in range(TRIES):
             promising = self._promising()
             if promising is None:
                 break
-            way, done, cells = promising
-            choice, trend = {**way, "cells": cells}, self.trend(done)
+            way, cells = promising
+            choice, trend = {**way.choice, "cells": cells}, self.trend(way)
             promise = predicted.setdefault(key(choice), {"error": trend.error_at(cells), "cost": trend.cost_at(cells)})
-            if cells in done:
+            if cells in way.done:
                 self._warn(trend, cells)
-                return choice, promise, True
-            row, = self.run([choice])
-            if row["status"] == "done":
-                done[cells] = row
-            else:
-                self.found = [each for each in self.found if each[0] is not way]
-                self.notes.append(f"{label(way)} falls out with {cells} cells: {row['reason'][:160]}")
-        return *self._closest(), False
+                return choice, promise
+            self._try(way, choice)
+        return self._within() or self._closest()
 
-    def _promising(self) -> tuple[Choice, dict[int, Row], int] | None:
+    def _try(self, way: _Way, choice: Choice) -> None:
+        """Put what is measured in the place of what was promised."""
+        row, = self.run([choice]).rows
+        if self._usable(row):
+            way.done[choice["cells"]] = row
+        else:
+            way.stopped = True
+            self.notes.append(f"{label(choice)} goes no further: with {choice['cells']} cells {self._why(row)}")
+
+    def _promising(self) -> tuple[_Way, int] | None:
         """The way that promises to be the cheapest one within the tolerance, and how many cells it needs."""
-        offers: list[tuple[float, int, Choice, dict[int, Row], int]] = []
-        for way, done in self.found:
-            trend = self.trend(done)
+        offers: list[tuple[float, int, int]] = []
+        for index, way in enumerate(self.ways):
+            trend = self.trend(way)
             cells = trend.needed(self.tolerance)
+            if cells is not None and way.stopped:               # what it has, if that will do
+                cells = min((each for each in way.done if each >= cells), default=None)
             if cells is not None and cells <= self.most:
-                offers.append((trend.cost_at(cells), len(offers), way, done, cells))
-        return min(offers)[2:] if offers else None
+                offers.append((trend.cost_at(cells), index, cells))
+        return (self.ways[min(offers)[1]], min(offers)[2]) if offers else None
 
     def _warn(self, trend: Trend, cells: int) -> None:
         if cells != trend.cells[0] and not trend.asymptotic:
             self.notes.append("its runs are not in the asymptotic range (orders " + _orders(trend) + "): do not expect "
                               "the error to go on falling")
 
+    def _measured(self) -> list[tuple[float, float, int, int]]:
+        """Cost, error, way and cells of every run that can be used, the cheapest first."""
+        return sorted((row[self.cost], self.error(row), index, cells) for index, way in enumerate(self.ways)
+                      for cells, row in way.done.items())
+
+    def _within(self) -> tuple[Choice, dict[str, float]] | None:
+        """The cheapest run within the tolerance, where no trend leads to one."""
+        for cost, error, index, cells in self._measured():
+            if error <= self.tolerance:
+                self.notes.append("this run is within the tolerance, but its trend (orders "
+                                  f"{_orders(self.trend(self.ways[index]))}) does not say why: luck perhaps")
+                return {**self.ways[index].choice, "cells": cells}, {"error": error, "cost": cost}
+        return None
+
     def _closest(self) -> tuple[Choice, dict[str, float]]:
         """The run with the smallest error, after a word on why no way gets there."""
-        for way, done in self.found:
-            trend = self.trend(done)
+        for way in self.ways:
+            trend = self.trend(way)
             needed = trend.needed(self.tolerance)
             why = (f"stalls (orders {_orders(trend)})" if needed is None else
-                   f"would need some {needed} cells, more than {self.most}" if needed > self.most else
+                   f"would need some {needed:.3g} cells, more than {self.most}" if needed > self.most else
                    f"was not found within {TRIES} runs")
-            self.notes.append(f"{label(way)} {why}")
-        error, _, way, cells, row = min((row[f"error_{self.quantity}"], index, way, cells, row)
-                                        for index, (way, done) in enumerate(self.found)
-                                        for cells, row in done.items())
-        return {**way, "cells": cells}, {"error": error, "cost": row[self.cost]}
+            if not way.stopped:
+                self.notes.append(f"{label(way.choice)} {why}")
+        cost, error, index, cells = min(self._measured(), key=lambda run: run[1])
+        return {**self.ways[index].choice, "cells": cells}, {"error": error, "cost": cost}
 
     def compare(self, name: str, change: Choice, choice: Choice, row: Row) -> Smaller:
         """What a smaller model gives instead of the recommended choice."""
-        other, = self.run([{**choice, **change}])
-        if other["status"] != "done":
-            return Smaller(name, change, np.nan, np.nan, False, other["reason"])
-        error, cost = other[f"error_{self.quantity}"], other[self.cost]
-        good = error <= max(self.tolerance, 1.01 * row[f"error_{self.quantity}"])
+        other, = self.run([{**choice, **change}]).rows
+        if not self._usable(other):
+            return Smaller(name, change, np.nan, np.nan, False, self._why(other))
+        error, cost = self.error(other), other[self.cost]
+        good = error <= max(self.tolerance, 1.01 * self.error(row))
         return Smaller(name, change, error, cost, bool(good and cost < row[self.cost]))
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import inspect
 import json
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product as cartesian
 from typing import Any
+
+import numpy as np
 
 Choice = Mapping[str, Any]
 SIZES = ("cells", "per_cell", "steps")            # what makes a run dearer, whatever the way to compute
@@ -30,20 +33,38 @@ def product(**axes: Sequence[Any] | None) -> list[dict[str, Any]]:
     >>> product(method=("mpm", "gimp"), cells=[10])
     [{'method': 'mpm', 'cells': 10}, {'method': 'gimp', 'cells': 10}]
     """
-    given = {name: values for name, values in axes.items() if values is not None}
-    for name, values in given.items():
-        if isinstance(values, (str, Mapping)) or not isinstance(values, Iterable):
-            raise TypeError(f"{name}: got {values!r}, expected a sequence of values such as [{values!r}].")
-        if not len(list(values)):
-            raise ValueError(f"{name}: got no values, expected at least one.")
+    given = {name: _listed(name, values) for name, values in axes.items() if values is not None}
     return [dict(zip(given, values)) for values in cartesian(*given.values())]
+
+
+def _listed(name: str, values: Any) -> list[Any]:
+    if isinstance(values, (str, Mapping)) or not isinstance(values, Iterable):
+        raise TypeError(f"{name}: got {values!r}, expected a sequence of values such as [{values!r}].")
+    found = list(values)
+    if not found:
+        raise ValueError(f"{name}: got no values, expected at least one.")
+    return found
 
 
 def crossed(choices: Iterable[Choice], **axes: Sequence[Any] | None) -> list[dict[str, Any]]:
     """Every choice with every combination of the axes; what a choice says itself stands."""
-    found = [{**more, **choice} for choice in choices for more in product(**axes)]
-    unique = {key(choice): choice for choice in found}
-    return list(unique.values())
+    others = product(**axes)
+    found = [{**more, **choice} for choice in _ways(choices) for more in others]
+    return distinct(found)
+
+
+def _ways(choices: Any) -> list[Choice]:
+    found = _listed("choices", choices)
+    for choice in found:
+        if not isinstance(choice, Mapping):
+            raise TypeError(f"choices: got {choice!r}, expected dictionaries of arguments such as "
+                            "{'method': 'gimp'}.")
+    return found
+
+
+def distinct(choices: Iterable[Choice]) -> list[dict[str, Any]]:
+    """The choices in their order, each of them once."""
+    return list({key(choice): dict(choice) for choice in choices}.values())
 
 
 def key(choice: Choice) -> str:
@@ -63,9 +84,12 @@ def plain(value: Any) -> Any:
         return value
     if hasattr(value, "item") and getattr(value, "ndim", 1) == 0:
         return value.item()
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, (list, tuple, np.ndarray)):
         return [plain(each) for each in value]
-    text = repr(value)
+    if isinstance(value, (set, frozenset)):
+        return sorted(map(plain, value), key=repr)              # its own order is another one in every process
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        text = repr(value)                                      # arrays inside in full, or two would look the same
     if " at 0x" in text:
         raise TypeError(f"choices: got {text}, which says nothing that a table could hold; expected a name, a number, "
                         "or an object with a repr of its own, such as a dataclass.")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from .. import scenes
 from ..checks import check_choice
-from .choices import Choice
+from .choices import Choice, plain
 
 STRETCHED = {"domains": "stretched"}
 
@@ -85,4 +86,12 @@ def find_problem(scene: Any) -> Problem:
     if not callable(scene):
         raise TypeError(f"scene: got {type(scene).__name__}, expected a name such as 'cylinder', or a function that "
                         "makes a scene, so that it can be made with other cells.")
-    return Problem(getattr(scene, "__name__", type(scene).__name__), scene)
+    return Problem(_name(scene), scene)
+
+
+def _name(make: Any) -> str:
+    """What tells a function that makes a scene from others: of a partial one, what it was given belongs to it."""
+    if isinstance(make, partial):
+        given = [*map(plain, make.args), *(f"{name}={plain(value)}" for name, value in sorted(make.keywords.items()))]
+        return f"{_name(make.func)}({', '.join(map(str, given))})"
+    return getattr(make, "__name__", type(make).__name__)

@@ -9,14 +9,17 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .choices import Choice, make_scene
 
-# What a run that cannot go on raises: everything that the library says, and what numpy and the machine add.
-FAILURES = (ValueError, RuntimeError, ArithmeticError, MemoryError, ImportError)
+# What a run that cannot go on raises: everything that the library says, and what numpy and the machine add; and what
+# Python says of an argument that a scene or its run does not have.
+FAILURES = (ValueError, TypeError, RuntimeError, ArithmeticError, MemoryError, ImportError)
 MAKE = Callable[..., Any]
 
 
@@ -25,13 +28,19 @@ def measured(make: MAKE, choice: Choice) -> dict[str, Any]:
     last: list[Any] = []
     try:
         scene, options = make_scene(make, choice)
-        errors = _measure(scene, _watched(scene.run(**options), last))
+        found = _measure(scene, _watched(scene.run(**options), last))
+        errors = {name: float(value) for name, value in found.items()}
         status = {"status": "done", "reason": ""}
     except FAILURES as failure:
-        errors, status = {}, {"status": "failed", "reason": f"{type(failure).__name__}: {failure}"}
+        errors, status = {}, failed(failure)
     sizes = [{"points": state.particles.n, "steps_done": state.step, "engine_used": getattr(state, "engine", None)}
              for state in last]
-    return {**status, **(sizes[0] if sizes else {}), "errors": {name: float(value) for name, value in errors.items()}}
+    return {**status, **(sizes[0] if sizes else {}), "errors": errors}
+
+
+def failed(failure: BaseException) -> dict[str, Any]:
+    """Columns of a row that say why it stopped."""
+    return {"status": "failed", "reason": f"{type(failure).__name__}: {failure}"}
 
 
 def _watched(states: Iterable[Any], last: list[Any]) -> Iterator[Any]:
@@ -56,6 +65,11 @@ def measured_apart(make: MAKE, choice: Choice) -> dict[str, Any]:
     """:func:`measured` in a process of its own, with ``memory_mb``: how far its memory grew, in megabytes.
 
     It is what the operating system counts, so the factors of a solver are in it, and a compiler where one is needed.
+
+    Raises
+    ------
+    RuntimeError
+        If no process can be started that has the scene.
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
@@ -63,33 +77,60 @@ def measured_apart(make: MAKE, choice: Choice) -> dict[str, Any]:
     child.start()
     theirs.close()
     try:
-        return ours.recv()
-    except EOFError:
-        child.join()
-        return {"status": "failed", "reason": f"its process ended with exit code {child.exitcode}, for want of memory "
-                                              "perhaps", "errors": {}}
+        if _received(ours) is None:
+            raise RuntimeError("memory: got no process of its own for a run, see its output above; in a script, put "
+                               "what starts a study under `if __name__ == '__main__':`, or give memory=False.")
+        found = _received(ours)
+        child.join(1 if found else None)
+        return found or {"status": "failed", "errors": {}, "reason": _death(child.exitcode)}
     finally:
-        if child.is_alive() and child.exitcode is None:
-            child.join(1)
         child.terminate()
         child.join()
 
 
+def _received(pipe: Any) -> dict[str, Any] | None:
+    """What a process sends next; ``None`` if it has ended."""
+    try:
+        return pipe.recv()
+    except EOFError:
+        return None
+
+
+def _death(code: int | None) -> str:
+    why = "an error that its output shows" if code == 1 else "want of memory perhaps"
+    return f"its process ended with exit code {code}: {why}"
+
+
 def _report(pipe: Any, make: MAKE, choice: Choice) -> None:
+    _forget_peak()
     before = _peak()
+    pipe.send({"memory_mb": before})                # it has started, and has the scene
     found = measured(make, choice)
     pipe.send({**found, "memory_mb": _peak() - before})
     pipe.close()
 
 
+def _forget_peak() -> None:
+    """Where the system allows it: what importing the library took for a moment does not hide a small run."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    except OSError:
+        pass
+
+
 def _peak() -> float:
     """The most memory that this process has held so far, in megabytes; not a number where the system does not say."""
+    try:                                # Linux: of this program alone; getrusage adds what its parent held at its start
+        text = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+        return int(text.split("VmHWM:")[1].split()[0]) * 1.024e-3
+    except (OSError, IndexError):
+        pass
     try:
         import resource
     except ImportError:                 # no Unix
         return np.nan
-    unit = 1e6 if sys.platform == "darwin" else 1e3
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    unit = 1e-6 if sys.platform == "darwin" else 1.024e-3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def timed(make: MAKE, choice: Choice) -> dict[str, float]:
@@ -103,6 +144,16 @@ def timed(make: MAKE, choice: Choice) -> dict[str, float]:
     return {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
 
 
+@contextmanager
+def old_objects_left_alone() -> Iterator[None]:
+    """Collections of garbage do not look through what is there now: it takes longer than a small run."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
 def compiled(make: MAKE, choice: Choice) -> float:
     """Seconds that a first state takes longer than the same once more: to import and compile what a run needs."""
     seconds = []
@@ -110,7 +161,7 @@ def compiled(make: MAKE, choice: Choice) -> float:
         scene, options = make_scene(make, choice)
         start = time.perf_counter()
         states = iter(scene.run(**options))
-        next(states)
+        next(states, None)
         seconds.append(time.perf_counter() - start)
     return max(seconds[0] - seconds[1], 0.0)
 

@@ -30,9 +30,18 @@ def machine() -> dict[str, Any]:
             versions[name] = version(name)
         except PackageNotFoundError:
             versions[name] = None
-    return {"date": time.strftime("%Y-%m-%d %H:%M"), "machine": platform.machine(), "system": platform.system(),
-            "cores": os.cpu_count(), "python": platform.python_version(), "versions": versions,
-            "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS")}
+    return {"date": time.strftime("%Y-%m-%d %H:%M"), "machine": platform.machine(), "processor": _processor(),
+            "system": platform.system(), "cores": os.cpu_count(), "python": platform.python_version(),
+            "versions": versions, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS")}
+
+
+def _processor() -> str:
+    """Name of the processor, as far as the system says it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:                     # no Linux
+        return platform.processor()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
 
 
 def summary(row: Row) -> Row:
@@ -71,10 +80,10 @@ class Store:
         """Take what an earlier study of the same scene on the same machine has found."""
         about, rows = read(path)
         for name, value in self.about.items():
-            if name != "date" and about.get(name) != value:
+            if name != "date" and about.get(name, value) != value:
                 raise ValueError(f"out: got {path}, made with {name}={about.get(name)!r}, expected "
                                  f"{value!r} as now, for rows that are compared; give another folder.")
-        self.about, self.rows = about, rows
+        self.about, self.rows = {**self.about, **about}, rows
 
     def save(self, late: bool = False) -> None:
         """Write the files, if it is time to (or ``late`` enough to do it anyway)."""
@@ -98,19 +107,19 @@ def read(path: Path) -> tuple[dict[str, Any], dict[str, Row]]:
 
 
 def _json(value: Any) -> Any:
-    """As strict JSON has it: no number is null."""
+    """As strict JSON has it: what is not a number is null, what is infinite a text."""
     if isinstance(value, Mapping):
         return {name: _json(each) for name, each in value.items()}
     if isinstance(value, (list, tuple)):
         return [_json(each) for each in value]
     if isinstance(value, float) and not np.isfinite(value):
-        return None
+        return None if np.isnan(value) else str(float(value))
     return value
 
 
 def _numbers(row: Row) -> Row:
     """A row of a file, its errors floats again."""
-    errors = {name: np.nan if value is None else value for name, value in row["errors"].items()}
+    errors = {name: np.nan if value is None else float(value) for name, value in row["errors"].items()}
     return {**row, "errors": errors}
 
 

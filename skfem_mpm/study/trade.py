@@ -12,10 +12,19 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from .choices import Choice, crossed, key, label, plain
+from .choices import SIZES, Choice, crossed, key, label, plain
 from .pareto import pareto
 from .problems import Problem, find_problem
-from .runs import check_sendable, compiled, measured, measured_apart, timed
+from .runs import (
+    FAILURES,
+    check_sendable,
+    compiled,
+    failed,
+    measured,
+    measured_apart,
+    old_objects_left_alone,
+    timed,
+)
 from .store import Row, Store, machine, read, summary
 
 COSTS = ("wall_s", "cpu_s", "memory_mb")
@@ -67,7 +76,9 @@ class Study:
     def error_name(self, quantity: str | None = None) -> str:
         """Name of the column of a quantity's error."""
         if not self.quantities:
-            raise ValueError("quantity: got a study in which no run was done; look at the reasons in its rows.")
+            reason = next((row["reason"] for row in self.rows if row["reason"]), "none was started")
+            raise ValueError(f"quantity: got a study in which no run was done ({reason}); look at the reasons in its "
+                             "rows.")
         if quantity is not None and quantity not in self.quantities:
             raise ValueError(f"quantity: got {quantity!r}, expected one of {', '.join(map(repr, self.quantities))}.")
         return f"error_{quantity or self.quantities[0]}"
@@ -90,8 +101,10 @@ class Study:
         return "\n".join(texts)
 
     def label(self, row: Row) -> str:
-        """The way to compute of a row, in a few words."""
-        return label({name: row[name] for name in self.about["arguments"] if row.get(name) is not None})
+        """The way to compute of a row, in a few words, with sizes other than cells in which rows differ."""
+        words = label({name: row[name] for name in self.about["arguments"] if row.get(name) is not None})
+        sizes = [name for name in SIZES[1:] if len({each.get(name) for each in self.rows}) > 1]
+        return ", ".join([words] + [f"{name}={row[name]}" for name in sizes if row.get(name) is not None])
 
 
 def tradeoff(scene: Any, methods: Sequence[Any] | None = None, cells: Sequence[int] | None = None, *,
@@ -119,11 +132,11 @@ def tradeoff(scene: Any, methods: Sequence[Any] | None = None, cells: Sequence[i
         Values to combine, of the arguments ``method``, ``cells``, ... of scene and run; those not given stay as scene
         and run have them, but ``cells``, and ``methods`` without ``choices``, which then are the problem's.
     more
-        Values of any other argument, such as ``{"ghost": [0.0, 0.1]}``.
+        Values of any other argument, such as ``{"ghost": [0.0, 0.1]}``; of each argument once.
     choices
         Dictionaries of arguments to combine with all of these, such as ``{"method": "gc", "domains": "stretched"}``.
     repeats
-        Timed runs of each choice; 0 for none.
+        Timed runs of each choice; 0 for none.  One that is not counted, for what is imported and compiled, is before.
     memory
         Whether untimed runs have a process of their own each, whose peak memory is measured.
     out
@@ -151,11 +164,10 @@ def tradeoff(scene: Any, methods: Sequence[Any] | None = None, cells: Sequence[i
     ('gc', 10)
     """
     problem = find_problem(scene)
-    axes = {"cells": cells or problem.cells, "per_cell": per_cell, "weights": weights, "scheme": schemes,
-            "integration": integrations, "domains": domains, "integrator": integrators, "engine": engines,
-            "steps": steps, **(more or {})}
-    ways = problem.choices if methods is None and choices is None else choices or [{}]
-    listed = crossed(ways, method=methods, **axes)
+    axes = _axes(more or {}, method=methods, cells=cells, per_cell=per_cell, weights=weights, scheme=schemes,
+                 integration=integrations, domains=domains, integrator=integrators, engine=engines, steps=steps)
+    ways = problem.choices if "method" not in axes else [{}]
+    listed = crossed(ways if choices is None else choices, **{"method": None, "cells": problem.cells, **axes})
     _check(problem, repeats, memory, executor)
     store = Store(out, name, {"scene": problem.name, **machine()})
     for choice in listed:
@@ -171,8 +183,18 @@ def tradeoff(scene: Any, methods: Sequence[Any] | None = None, cells: Sequence[i
     return Study({**store.about, "arguments": _arguments(listed)}, tuple(summary(row) for row, _ in chosen))
 
 
+def _axes(more: Mapping[str, Sequence[Any]], **own: Sequence[Any] | None) -> dict[str, Sequence[Any]]:
+    """Values by the name of the argument, where there are some."""
+    given = {name: values for name, values in own.items() if values is not None}
+    for name in set(given) & set(more):
+        raise ValueError(f"more: got values of {name!r}, which has an argument of its own; give it once.")
+    return {**given, **more}
+
+
 def _short(value: Any) -> str:
-    return "" if value is None or value != value else f"{value:.3g}"
+    if isinstance(value, float):
+        return "" if value != value else f"{value:.3g}"
+    return "" if value is None else str(value)
 
 
 def _check(problem: Problem, repeats: int, memory: bool, executor: Executor | None) -> None:
@@ -200,15 +222,46 @@ def _alone(problem: Problem, chosen: Sequence[tuple[Row, Choice]], repeats: int,
            progress: Progress) -> None:
     """All that is to be done of every row, one after the other: errors in the first round, then times."""
     jobs = [(row, choice, turn) for turn in range(repeats + 1) for row, choice in chosen
-            if (not row["status"] if turn == 0 else len(row["times"]) < turn)]
-    for row, choice, turn in progress(jobs):
-        if turn == 0:
-            row.update((measured_apart if memory else measured)(problem.make, choice))
-        elif row["status"] == "done":
-            if "compile_s" not in row:
-                row["compile_s"] = compiled(problem.make, choice)
+            if (_open(row, memory) if turn == 0 else len(row["times"]) < turn)]
+    warm: set[str] = set()
+    with old_objects_left_alone():
+        for row, choice, turn in progress(jobs):
+            if turn == 0 and memory:
+                row.update(measured_apart(problem.make, choice))
+            elif turn == 0:
+                if repeats:
+                    _warm_up(problem, choice, row, warm)
+                row.update(measured(problem.make, choice))
+            elif row["status"] == "done":
+                _time(problem, choice, row, warm)
+            store.save()
+
+
+def _open(row: Row, memory: bool) -> bool:
+    """Whether a row is still to be measured, its memory included if that is asked for."""
+    return not row["status"] or (memory and row["status"] == "done" and "memory_mb" not in row)
+
+
+def _warm_up(problem: Problem, choice: Choice, row: Row, warm: set[str]) -> None:
+    """Once in this process and not counted: what is imported and compiled for a choice."""
+    if row["key"] not in warm:
+        warm.add(row["key"])
+        try:
+            row.setdefault("compile_s", compiled(problem.make, choice))
+        except FAILURES as failure:
+            row.update(failed(failure))
+
+
+def _time(problem: Problem, choice: Choice, row: Row, warm: set[str]) -> None:
+    """One more timed run; a row whose run fails now has no errors either."""
+    try:
+        _warm_up(problem, choice, row, warm)
+        if row["status"] == "done":
             row["times"].append(timed(problem.make, choice))
-        store.save()
+    except FAILURES as failure:
+        row.update(failed(failure))
+    if row["status"] == "failed":
+        row.update(errors={}, times=[])
 
 
 def _spread(problem: Problem, chosen: Sequence[tuple[Row, Choice]], executor: Executor, store: Store,

@@ -21,7 +21,12 @@ class Trend:
     Attributes
     ----------
     cells, error, cost
-        ``(m,)``, of the runs; at least one.
+        ``(m,)``, of the runs; at least one, each with cells of its own.
+
+    Raises
+    ------
+    ValueError
+        If they are not of one length, or an error or a cost is negative or not finite.
 
     Examples
     --------
@@ -35,9 +40,15 @@ class Trend:
     cost: Any
 
     def __post_init__(self) -> None:
-        order = np.argsort(self.cells)
+        order, n = np.argsort(self.cells), np.size(self.cells)
         for name in ("cells", "error", "cost"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float)[order])
+            values = np.asarray(getattr(self, name), dtype=float)
+            if values.shape != (n,) or not n or not (np.isfinite(values) & (values >= 0)).all():
+                raise ValueError(f"{name}: got {values}, expected a finite number of at least 0 for each of one run or "
+                                 "more.")
+            object.__setattr__(self, name, values[order])
+        if self.cells[0] == 0 or not np.diff(self.cells).all():
+            raise ValueError(f"cells: got {self.cells}, expected different numbers above zero.")
 
     @property
     def orders(self) -> ndarray:
@@ -57,7 +68,7 @@ class Trend:
 
     def cost_at(self, cells: float) -> float:
         """Cost at a number of cells."""
-        pair = np.diff(np.log(self.cost[-2:])) / np.diff(np.log(self.cells[-2:]))
+        pair = np.diff(np.log(np.maximum(self.cost[-2:], 1e-9))) / np.diff(np.log(self.cells[-2:]))
         return _power(cells, self.cells, self.cost, max(float(pair[0]), 0.0) if len(pair) else 0.0)
 
     def needed(self, tolerance: float, margin: float = 0.9) -> int | None:
@@ -72,7 +83,8 @@ class Trend:
         order = min(self.orders[-2:], default=0.0)
         if order <= STALLED:
             return None
-        finest = self.cells[-1] * (self.error[-1] / (margin * tolerance)) ** (1 / order)
+        growth = np.log(self.error[-1] / (margin * tolerance)) / order
+        finest = self.cells[-1] * np.exp(min(growth, 99.0))             # beyond all machines
         return int(np.ceil(max(finest, self.cells[-1] + 1) - 1e-9))
 
     def _between(self, first: int, limit: float) -> int:
