@@ -12,7 +12,8 @@ from . import study
 
 LISTS = ("methods", "weights", "schemes", "integrations", "domains", "integrators", "engines")
 NUMBERS = ("cells", "per-cell", "steps")
-QUICK = {"cylinder": {"steps": [10], "cells": [10, 20]}, "column": {"steps": [10], "cells": [8, 16]}}
+QUICK = {"cylinder": {"steps": [10], "cells": [10, 20]}, "column": {"steps": [10], "cells": [8, 16]},
+         "bar": {"cells": [8, 16]}, "cut": {"cells": [5, 10]}}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

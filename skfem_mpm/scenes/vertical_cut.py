@@ -55,17 +55,18 @@ class VerticalCut:
     until: float
 
     def run(self, method: str = "mpm", steps: int | None = None, start: ExplicitState | None = None,
-            **choices: Any) -> Iterator[ExplicitState]:
+            material: Any = None, **choices: Any) -> Iterator[ExplicitState]:
         """Yield states of ``steps`` time steps, or if not given, of as many as reach the time ``until``.
 
         Calls :func:`skfem_mpm.explicit_steps` with this scene and ``choices``.  A run up to ``until`` is the same
         physical work whatever the cells; it yields states every hundredth of a second unless ``every`` or
-        ``every_seconds`` says otherwise, and ends with the first state at or beyond that time.
+        ``every_seconds`` says otherwise, and ends with the first state at or beyond that time.  Another ``material``
+        shows what the scene would do without softening, say, or without yielding at all.
         """
         if steps is None and not {"every", "every_seconds"} & set(choices):
             choices["every_seconds"] = APART
-        states = explicit_steps(self.mesh, start or self.particles, self.material, self.boundary, method=method,
-                                steps=sys.maxsize if steps is None else steps,
+        states = explicit_steps(self.mesh, start or self.particles, material or self.material, self.boundary,
+                                method=method, steps=sys.maxsize if steps is None else steps,
                                 **{"gravity": self.gravity, "ramp": self.ramp, **choices})
         return states if steps is not None else _up_to(self.until, states)
 

@@ -1,4 +1,4 @@
-"""The trade between error and cost, measured, for the scenes that ship and for your own; and ensembles of random ones."""
+"""The trade between error and cost, measured, for the scenes that ship and for your own; ensembles of random ones."""
 
 from .cheapest import Recommendation, Smaller, cheapest
 from .choices import product

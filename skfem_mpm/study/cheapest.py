@@ -157,6 +157,7 @@ def cheapest(scene: Any, tolerance: float, quantity: str | None = None, *, choic
     search = _Search(problem, float(tolerance), quantity or problem.quantity, cost, most,
                      {"name": "cheapest", "out": out, "progress": progress, "memory": cost == "memory_mb"})
     search.pilot(ways, pilots)
+    search.warn_of_reference()
     choice, predicted = search.best()
     row, = search.run([choice], repeats).rows
     reached = search.error(row) <= search.tolerance
@@ -226,6 +227,13 @@ class _Search:
                 self.notes.append(f"{label(choice)} falls out: {self._why(mine[pilots[-1]])}")
         if not self.ways:
             raise ValueError("choices: got none that can be run; " + "; ".join(self.notes))
+
+    def warn_of_reference(self) -> None:
+        """A reference that is not exact may be further off than the tolerance."""
+        known = self.problem.known().get(self.quantity or "", 0.0)
+        if known > self.tolerance:
+            self.notes.append(f"the scene's reference may itself be off by {known:.2g}, more than the tolerance: smaller "
+                              "errors are agreement with it, no more")
 
     def _usable(self, row: Row) -> bool:
         return bool(np.isfinite(self.error(row)) and np.isfinite(row[self.cost]))

@@ -6,30 +6,26 @@ import os
 import pickle
 import re
 import sys
-from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
-from functools import cache, partial
-from importlib import metadata
-from itertools import islice
+from functools import partial
 from numbers import Integral
 from pathlib import Path
 from platform import python_version
-from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
 
 from .ledger import Ledger, Row
-from .processes import Processes, cores
+from .processes import DIED, Processes, answers, cores
+from .store import versions
 
 Function = Callable[[int, np.random.Generator], Mapping[str, float]]
 FAILURES = (ValueError, RuntimeError, ArithmeticError)      # of a realisation: the solvers' own errors are among them
 OWN = ("number", "status")                                  # what every row has
 FINISHED = "finished"
-DIED = "its worker died, also when it was done alone; it may need more memory than there is"
-PACKAGES = ("skfem-mpm", "scikit-fem", "numpy", "scipy", "numba")
 WHOLE: Any = Integral          # of types that mypy takes for any: it does not know that these can be compared
 
 
@@ -100,16 +96,17 @@ def ensemble(function: Function, count: int, *, seed: int = 0, out: str | os.Pat
                          "has; expected a function, or a functools.partial with arguments that their repr shows.")
     if executor is None or isinstance(executor, ProcessPoolExecutor):
         function = _Pickled.of(function)
-    ledger = Ledger(None if out is None else Path(out), {"function": name, "seed": int(seed), "versions": _versions()})
+    owner = {"function": name, "seed": int(seed), "versions": {"python": python_version(), **versions()}}
+    ledger = Ledger(None if out is None else Path(out), owner)
     missing = [number for number in range(count) if number not in ledger.rows]
     report = progress or (lambda done, count: None)
     try:
         report(count - len(missing), count)
         task = partial(_realise, function, int(seed))
         with (_open(executor, workers, missing) as pool,
-              closing(_rows(pool, task, missing, ahead or _ahead(pool))) as rows):
-            for done, row in enumerate(rows, start=count - len(missing) + 1):
-                ledger.add(row)
+              closing(answers(pool, task, missing, ahead or _ahead(pool))) as found):
+            for done, (number, row) in enumerate(found, start=count - len(missing) + 1):
+                ledger.add(row or {"number": number, "status": DIED})
                 report(done, count)
     finally:
         ledger.release()
@@ -142,59 +139,6 @@ def _open(executor: Executor | None, workers: int | None, missing: list[int]) ->
 
 def _ahead(executor: Executor | None) -> int:
     return 2 * executor.workers if isinstance(executor, Processes) else 1000
-
-
-def _rows(executor: Executor, task: Callable[..., Row], numbers: list[int],
-          ahead: int) -> Generator[Row, None, None]:
-    """Rows as they come.
-
-    Nobody knows which realisation a worker died of: all that may have been in its hands are done again when the others
-    are done, one at a time, and then it is known.
-    """
-    suspects = []
-    try:
-        for number, row in _ended(executor, task, numbers, ahead):
-            if row is None:
-                suspects.append(number)
-            else:
-                yield row
-        for number in sorted(suspects):
-            yield _row(executor.submit(task, number, True)) or {"number": number, "status": DIED}
-    except BrokenExecutor as failure:
-        raise RuntimeError("executor: it is broken, for one of its workers died; go on with a new one, or without: own "
-                           "processes are replaced.") from failure
-
-
-def _ended(executor: Executor, task: Callable[..., Row], numbers: list[int],
-           ahead: int) -> Iterator[tuple[int, Row | None]]:
-    """Rows by number as they come, ``None`` where a worker died; so many are handed out ``ahead``."""
-    waiting = iter(numbers)
-    flying: dict[Future, int] = {}
-    ended: SimpleQueue[Future] = SimpleQueue()
-    try:
-        while True:
-            for number in islice(waiting, ahead - len(flying)):
-                future = executor.submit(task, number)
-                flying[future] = number
-                future.add_done_callback(ended.put)
-            if not flying:
-                return
-            future = ended.get()
-            yield flying.pop(future), _row(future)
-    finally:
-        for future in flying:
-            future.cancel()
-
-
-def _row(future: Future) -> Row | None:
-    """What a future ends with; ``None`` if a worker died."""
-    return None if _worker_died(future) else future.result()
-
-
-def _worker_died(future: Future) -> bool:
-    """Whether a future ended with its worker: Dask gives up after some deaths, a pool of processes at once."""
-    dask: Any = sys.modules.get("distributed")
-    return isinstance(future.exception(), (BrokenExecutor, dask.KilledWorker) if dask else BrokenExecutor)
 
 
 def _realise(function: Function, seed: int, number: int, alone: bool = False) -> Row:
@@ -273,15 +217,3 @@ def _name(function: Any) -> str:
     module = sys.modules.get(function.__module__)
     script = getattr(module, "__file__", None) if function.__module__ == "__main__" else None
     return f"{Path(script).stem if script else function.__module__}.{function.__qualname__}"
-
-
-@cache
-def _versions() -> dict[str, str]:
-    """Of what the last bits of a row depend on."""
-    found = {"python": python_version()}
-    for name in PACKAGES:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = "none"
-    return found

@@ -9,6 +9,8 @@ from typing import Any
 
 from .. import scenes
 from ..checks import check_choice
+from ..materials import LinearElastic
+from ..scenes.vertical_cut_reference import cut_reference
 from .choices import Choice, plain
 
 STRETCHED = {"domains": "stretched"}
@@ -32,6 +34,9 @@ class Problem:
         The error that counts, if nothing else is said.
     simpler
         Smaller models by name, as arguments that make them.
+    known
+        Says how far the scene's reference may itself be off, by the name of the error; errors below cannot be told
+        apart.  Exact references have none.
     """
 
     name: str
@@ -40,16 +45,22 @@ class Problem:
     cells: tuple[int, ...] = (10, 20, 40)
     quantity: str | None = None
     simpler: Mapping[str, Choice] = field(default_factory=dict)
+    known: Callable[[], Mapping[str, float]] = dict
 
 
-def column(cells: int = 16, per_cell: int = 2, dim: int = 1, **more: Any) -> scenes.SelfWeight:
+def column(cells: int = 16, per_cell: int = 2, dim: int = 1) -> scenes.SelfWeight:
     """:func:`skfem_mpm.scenes.column` by the number of cells along its height."""
-    return scenes.column(0.8 / cells, per_cell=per_cell, dim=dim, **more)
+    return scenes.column(0.8 / cells, per_cell=per_cell, dim=dim)
 
 
-def cut(cells: int = 10, per_cell: int = 2, loading: str = "sudden", **more: Any) -> scenes.VerticalCut:
+def cut(cells: int = 10, per_cell: int = 2, loading: str = "sudden") -> scenes.VerticalCut:
     """:func:`skfem_mpm.scenes.vertical_cut` by the number of cells along its height."""
-    return scenes.vertical_cut(1 / cells, per_cell=per_cell, loading=loading, **more)
+    return scenes.vertical_cut(1 / cells, per_cell=per_cell, loading=loading)
+
+
+def cut_known() -> Mapping[str, float]:
+    """How far the reference of the cut may itself be off."""
+    return cut_reference("sudden").uncertainty()
 
 
 PROBLEMS = {problem.name: problem for problem in (
@@ -67,6 +78,17 @@ PROBLEMS = {problem.name: problem for problem in (
                      {"method": "mpm", "integration": "cubic"}, {"method": "mpm", "integration": "dual"},
                      {"method": "gimp", "integration": "dual", **STRETCHED}),
             cells=(8, 16, 32, 64), quantity="all", simpler={"in one dimension": {"dim": 1}}),
+    Problem("bar", scenes.bar,
+            choices=({"method": "mpm"}, {"method": "mpm", "integrator": "usl"}, {"method": "gimp"},
+                     {"method": "gimp", "engine": "numba"}, {"method": "gimp", "integrator": "usl"},
+                     {"method": "gimp", "xpic": 2}, {"method": "cmpm-c"}, {"method": "cmpm-c", "xpic": 2},
+                     {"method": "gc"}, {"method": "gimp", "integration": "dual"}),
+            cells=(8, 16, 32, 64), quantity="stress", simpler={"implicit steps": {"solver": "implicit"}}),
+    Problem("cut", cut,
+            choices=({"method": "mpm"}, {"method": "gimp"}, {"method": "gimp", "remedy": "bbar"}, {"method": "cmpm"},
+                     {"method": "cmpm-c"}, {"method": "gc"}, {"method": "gimp", "integration": "dual"}),
+            cells=(10, 20, 40), quantity="toe", simpler={"elastic": {"material": LinearElastic(E=400e3, nu=0.35)}},
+            known=cut_known),
 )}
 
 

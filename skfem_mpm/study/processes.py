@@ -1,15 +1,20 @@
-"""Worker processes of a study: replaced when one dies, gone when the study is."""
+"""Tasks on any executor, whatever becomes of its workers; and worker processes that are gone when the study is."""
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from itertools import islice
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from queue import SimpleQueue
 from typing import Any
+
+DIED = "its worker died, also when it was done alone; it may need more memory than there is"
 
 
 def cores() -> int:
@@ -84,3 +89,58 @@ def _stop_at_end(line: Connection) -> None:
         line.recv()
     except (EOFError, OSError):
         os._exit(1)
+
+
+def answers(executor: Executor, task: Callable[..., Any], numbers: Sequence[int],
+            ahead: int) -> Generator[tuple[int, Any], None, None]:
+    """``task(number)`` of every number with the number, as they come; ``None`` if it kills every worker.
+
+    Nobody knows which task a worker died of: all that may have been in its hands are done again when the others are
+    done, one at a time as ``task(number, True)``, and then it is known.  That makes it another call: Dask answers one
+    that it remembers with what it remembers.
+
+    Raises
+    ------
+    RuntimeError
+        If the executor is broken for good.
+    """
+    suspects = []
+    try:
+        for number, future in _ended(executor, task, numbers, ahead):
+            if _worker_died(future):
+                suspects.append(number)
+            else:
+                yield number, future.result()
+        for number in sorted(suspects):
+            future = executor.submit(task, number, True)
+            yield number, None if _worker_died(future) else future.result()
+    except BrokenExecutor as failure:
+        raise RuntimeError("executor: it is broken, for one of its workers died; go on with a new one, or without: own "
+                           "processes are replaced.") from failure
+
+
+def _ended(executor: Executor, task: Callable[..., Any], numbers: Sequence[int],
+           ahead: int) -> Iterator[tuple[int, Future]]:
+    """Futures by number as they end; so many are handed out ``ahead``."""
+    waiting = iter(numbers)
+    flying: dict[Future, int] = {}
+    ended: SimpleQueue[Future] = SimpleQueue()
+    try:
+        while True:
+            for number in islice(waiting, ahead - len(flying)):
+                future = executor.submit(task, number)
+                flying[future] = number
+                future.add_done_callback(ended.put)
+            if not flying:
+                return
+            future = ended.get()
+            yield flying.pop(future), future
+    finally:
+        for future in flying:
+            future.cancel()
+
+
+def _worker_died(future: Future) -> bool:
+    """Whether a future ended with its worker: Dask gives up after some deaths, a pool of processes at once."""
+    dask: Any = sys.modules.get("distributed")
+    return isinstance(future.exception(), (BrokenExecutor, dask.KilledWorker) if dask else BrokenExecutor)

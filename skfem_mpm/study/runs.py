@@ -7,6 +7,7 @@ import multiprocessing
 import pickle
 import sys
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -24,15 +25,21 @@ MAKE = Callable[..., Any]
 
 
 def measured(make: MAKE, choice: Choice) -> dict[str, Any]:
-    """Errors and sizes of one run: columns of a row; ``status`` is ``failed`` and says the reason if it stops."""
+    """Errors and sizes of one run, and what it warned of: columns of a row.
+
+    ``status`` is ``failed`` and ``reason`` says why if it stops.
+    """
     last: list[Any] = []
-    try:
-        scene, options = make_scene(make, choice)
-        found = _measure(scene, _watched(scene.run(**options), last))
-        errors = {name: float(value) for name, value in found.items()}
-        status = {"status": "done", "reason": ""}
-    except FAILURES as failure:
-        errors, status = {}, failed(failure)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            scene, options = make_scene(make, choice)
+            found = _measure(scene, _watched(scene.run(**options), last))
+            errors = {name: float(value) for name, value in found.items()}
+            status = {"status": "done", "reason": ""}
+        except FAILURES as failure:
+            errors, status = {}, failed(failure)
+    status["warnings"] = "; ".join(dict.fromkeys(str(each.message) for each in caught))
     sizes = [{"points": state.particles.n, "steps_done": state.step, "engine_used": getattr(state, "engine", None)}
              for state in last]
     return {**status, **(sizes[0] if sizes else {}), "errors": errors}
@@ -145,11 +152,16 @@ def timed(make: MAKE, choice: Choice) -> dict[str, float]:
 
 
 @contextmanager
-def old_objects_left_alone() -> Iterator[None]:
-    """Collections of garbage do not look through what is there now: it takes longer than a small run."""
+def undisturbed() -> Iterator[None]:
+    """For runs that are timed: nothing is warned of again, and collections of garbage are short.
+
+    To look through all that is there before the first run takes longer than a small run.
+    """
     gc.freeze()
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
     finally:
         gc.unfreeze()
 

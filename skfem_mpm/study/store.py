@@ -22,17 +22,22 @@ TIMES = ("setup_s", "wall_s", "cpu_s")
 Row = dict[str, Any]
 
 
-def machine() -> dict[str, Any]:
-    """What seconds depend on: machine, versions, threads; and the date."""
-    versions: dict[str, str | None] = {}
+def versions() -> dict[str, str | None]:
+    """Of the packages that the last bits of a result depend on; ``None`` of one that is not installed."""
+    found: dict[str, str | None] = {}
     for name in PACKAGES:
         try:
-            versions[name] = version(name)
+            found[name] = version(name)
         except PackageNotFoundError:
-            versions[name] = None
+            found[name] = None
+    return found
+
+
+def machine() -> dict[str, Any]:
+    """What seconds depend on: machine, versions, threads; and the date."""
     return {"date": time.strftime("%Y-%m-%d %H:%M"), "machine": platform.machine(), "processor": _processor(),
             "system": platform.system(), "cores": os.cpu_count(), "python": platform.python_version(),
-            "versions": versions, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS")}
+            "versions": versions(), "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS")}
 
 
 def _processor() -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from numbers import Integral
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from numpy import ndarray
 from .choices import SIZES, Choice, crossed, key, label, plain
 from .pareto import pareto
 from .problems import Problem, find_problem
+from .processes import DIED, answers
 from .runs import (
     FAILURES,
     check_sendable,
@@ -22,13 +24,14 @@ from .runs import (
     failed,
     measured,
     measured_apart,
-    old_objects_left_alone,
     timed,
+    undisturbed,
 )
 from .store import Row, Store, machine, read, summary
 
 COSTS = ("wall_s", "cpu_s", "memory_mb")
 Progress = Callable[[Iterable[Any]], Iterable[Any]]
+AHEAD = 1000               # runs handed out to an executor at once
 WHOLE: Any = Integral
 
 
@@ -42,8 +45,8 @@ class Study:
         Scene, machine, versions, threads and date.
     rows
         One dictionary for each choice: its arguments; ``status`` and ``reason``; ``error_NAME`` for each quantity;
-        ``points``, ``steps_done``, ``engine_used``; ``wall_s`` and ``cpu_s``, medians of ``repeats`` runs, with
-        ``_least`` and ``_most``; ``setup_s`` and ``compile_s``, which are not in them; ``point_steps_per_s``;
+        ``points``, ``steps_done``, ``engine_used``, ``warnings``; ``wall_s`` and ``cpu_s``, medians of ``repeats`` runs
+        with ``_least`` and ``_most``; ``setup_s`` and ``compile_s``, which are not in them; ``point_steps_per_s``;
         ``memory_mb``.  What was not measured is not a number.
     """
 
@@ -224,7 +227,7 @@ def _alone(problem: Problem, chosen: Sequence[tuple[Row, Choice]], repeats: int,
     jobs = [(row, choice, turn) for turn in range(repeats + 1) for row, choice in chosen
             if (_open(row, memory) if turn == 0 else len(row["times"]) < turn)]
     warm: set[str] = set()
-    with old_objects_left_alone():
+    with undisturbed():
         for row, choice, turn in progress(jobs):
             if turn == 0 and memory:
                 row.update(measured_apart(problem.make, choice))
@@ -267,11 +270,15 @@ def _time(problem: Problem, choice: Choice, row: Row, warm: set[str]) -> None:
 def _spread(problem: Problem, chosen: Sequence[tuple[Row, Choice]], executor: Executor, store: Store,
             progress: Progress) -> None:
     """Errors of every row, wherever the executor works them out."""
-    waiting: dict[Future[Any], Row] = {executor.submit(measured, problem.make, choice): row
-                                       for row, choice in chosen if not row["status"]}
-    for done in progress(as_completed(waiting)):
-        waiting[done].update(done.result())
+    waiting = [index for index, (row, _) in enumerate(chosen) if not row["status"]]
+    task = partial(_numbered, problem.make, [choice for _, choice in chosen])
+    for index, found in progress(answers(executor, task, waiting, AHEAD)):
+        chosen[index][0].update(found or {"status": "failed", "reason": DIED})
         store.save()
+
+
+def _numbered(make: Any, choices: Sequence[Choice], number: int, alone: bool = False) -> dict[str, Any]:
+    return measured(make, choices[number])
 
 
 def load(folder: str | Path, name: str = "tradeoff") -> Study:
