@@ -20,7 +20,7 @@ MARKERS = "os^Dv<>pPX*hd8"
 
 def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequence[int], groups: Sequence[str],
                        kinds: Sequence[str]) -> None:
-    """Runs as points, those of one way to compute joined by a line, and the runs that nobody beats as a staircase.
+    """Runs as points, those of one way to compute joined in their order, and the runs that nobody beats as a staircase.
 
     Parameters
     ----------
@@ -43,8 +43,7 @@ def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequenc
               label="front")
     seen: dict[str, int] = {}
     for kind in dict.fromkeys(kinds):
-        mine = sorted((index for index, each in enumerate(kinds) if each == kind and shown[index]),
-                      key=lambda index: cost[index])
+        mine = [index for index, each in enumerate(kinds) if each == kind and shown[index]]
         if not mine:
             continue
         group = groups[mine[0]]
@@ -57,6 +56,7 @@ def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequenc
         axes.text(0.5, 0.5, "no run has both", ha="center", transform=axes.transAxes)
     else:
         axes.set(xscale="log", yscale="log")
+        axes.set(xlim=_limits(cost[shown]), ylim=_limits(error[shown]))
         _ticks(axes.xaxis, cost[shown])
         _ticks(axes.yaxis, error[shown])
     axes.grid(alpha=0.3, which="major")
@@ -69,9 +69,12 @@ def _ticks(axis: Axis, values: ndarray) -> None:
     axis.set_major_formatter(FuncFormatter(_number))
     axis.set_minor_locator(LogLocator(subs=(2, 3, 5) if few else tuple(range(2, 10))))
     axis.set_minor_formatter(FuncFormatter(_number) if few else NullFormatter())
-    if values.max() < 3 * values.min():
-        middle = np.sqrt(values.max() * values.min())
-        axis.set_view_interval(middle / 2, 2 * middle)
+
+
+def _limits(values: ndarray) -> tuple[float, float]:
+    """Of an axis: some room on both sides, and never less than a factor of four between them."""
+    room = max(1.3, np.sqrt(4 * values.min() / values.max()))
+    return values.min() / room, values.max() * room
 
 
 def _number(value: float, position: int | None = None) -> str:
@@ -98,14 +101,19 @@ def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall
     known = [cost for cost in costs if np.isfinite(study.column(cost)).any()] or list(costs[:1])
     figure, places = plt.subplots(1, len(known), figsize=(4.6 * len(known) + 2.8, 4.4), sharey=True, squeeze=False,
                                   layout="constrained")
-    kinds = [study.label(row) for row in study.rows]
-    groups = [str(row.get("method", "")) for row in study.rows]
     name = study.error_name(quantity)
-    rows = {id(row): index for index, row in enumerate(study.rows)}
+    order = sorted(range(len(study.rows)), key=lambda index: float(np.prod(study.rows[index].get("cells") or 0)))
+    rows = [study.rows[index] for index in order]
+    kinds, groups = [study.label(row) for row in rows], [str(row.get("method", "")) for row in rows]
+    place = {id(row): index for index, row in enumerate(rows)}
     for axes, cost in zip(places[0], known):
-        front = [rows[id(row)] for row in study.front(quantity, cost)]
-        error_against_cost(axes, study.column(cost), study.column(name), front, groups, kinds)
+        front = [place[id(row)] for row in study.front(quantity, cost)]
+        error_against_cost(axes, study.column(cost)[order], study.column(name)[order], front, groups, kinds)
         axes.set_xlabel(words.get(cost, cost))
+    errors = study.column(name)
+    errors = errors[(errors > 0) & np.isfinite(errors)]
+    if len(errors):
+        places[0, 0].set_ylim(_limits(errors))
     places[0, 0].set_ylabel(f"error: {name[len('error_'):]}")
     figure.suptitle(f"{study.about['scene']}: error against cost", fontsize=11)
     figure.legend(*places[0, 0].get_legend_handles_labels(), loc="outside right center", fontsize=8)

@@ -12,11 +12,14 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
+import fake_scenes
 import numpy as np
 import pytest
 import realisations
+from numpy.testing import assert_equal
 
-from skfem_mpm.study import ensemble
+from skfem_mpm.study import ensemble, load, tradeoff
+from skfem_mpm.study.processes import Processes
 
 COUNT = 24
 STUDY = """
@@ -214,6 +217,32 @@ def test_nothing_is_lost_when_a_worker_of_a_dask_cluster_is_killed(tmp_path):
     assert rows == serial(realisations.draw, 20, seed=3)
     assert lines(out)[1:] == rows and done == list(range(21))
     assert len({mark.name.split("-")[2] for mark in marks.glob("pid-*")}) >= 2
+
+
+def test_an_untimed_study_loses_nothing_when_a_worker_of_a_dask_cluster_is_killed(tmp_path):
+    client, cluster = dask_client(tmp_path / "cluster")
+    axes = {"methods": ["mpm", "gimp", "gc"], "cells": [5, 10, 20, 40], "steps": [3], "repeats": 0}
+
+    def killing(found):
+        for count, each in enumerate(found):
+            if count == 3:
+                os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+            yield each
+
+    with cluster, client:
+        found = tradeoff("cylinder", **axes, executor=client.get_executor(), progress=killing, out=tmp_path)
+    alone = tradeoff("cylinder", **axes, memory=False)
+    for rows in (found.rows, load(tmp_path).rows):
+        assert_equal([dict(row) for row in rows], [dict(row) for row in alone.rows])
+    assert len(found.rows) == 12 and all(row["status"] == "done" for row in found.rows)
+
+
+def test_a_run_of_an_untimed_study_that_kills_its_worker_is_a_row(tmp_path):
+    with Processes(2) as processes:
+        found = tradeoff(fake_scenes.make, ["mpm"], [5, 10], more={"how": ["is well", "dies"]}, repeats=0,
+                         executor=processes)
+    assert [row["status"] for row in found.rows] == ["done", "failed", "done", "failed"]
+    assert all("worker died" in row["reason"] for row in found.rows[1::2])
 
 
 class GivesUp(Executor):

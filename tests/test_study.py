@@ -312,7 +312,7 @@ def test_a_reader_never_sees_a_part(tmp_path):
 
 @given(st.lists(st.floats(0.01, 30), min_size=1, max_size=60), st.floats(0.001, 0.5))
 @settings(max_examples=30)
-def test_writing_takes_a_fiftieth_of_the_time_and_no_more_than_that_is_lost(tmp_path_factory, pauses, each):
+def test_writing_takes_a_hundredth_of_the_time_and_no_more_than_that_is_lost(tmp_path_factory, pauses, each):
     clock, written = Clock(), []
 
     def write(path, text):
@@ -327,8 +327,8 @@ def test_writing_takes_a_fiftieth_of_the_time_and_no_more_than_that_is_lost(tmp_
             clock.now += pause
             before = written[-1]
             kept.save()
-            assert written[-1] == clock.now or clock.now < before + 50 * 2 * each * (1 + 1e-9)
-    assert (len(written) - 2) * each <= (written[-1] - 1) / 50 + 1e-9
+            assert written[-1] == clock.now or clock.now < before + 100 * 2 * each * (1 + 1e-9)
+    assert (len(written) - 2) * each <= (written[-1] - 1) / 100 + 1e-9
     assert len(written) % 2 == 0                # table and rows together
 
 

@@ -232,8 +232,8 @@ class _Search:
         """A reference that is not exact may be further off than the tolerance."""
         known = self.problem.known().get(self.quantity or "", 0.0)
         if known > self.tolerance:
-            self.notes.append(f"the scene's reference may itself be off by {known:.2g}, more than the tolerance: smaller "
-                              "errors are agreement with it, no more")
+            self.notes.append(f"the scene's reference may itself be off by {known:.2g}, more than the tolerance: "
+                              "smaller errors are agreement with it, no more")
 
     def _usable(self, row: Row) -> bool:
         return bool(np.isfinite(self.error(row)) and np.isfinite(row[self.cost]))

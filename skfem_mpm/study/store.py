@@ -67,8 +67,8 @@ def summary(row: Row) -> Row:
 class Store:
     """Rows by their key, kept in ``NAME.json`` and ``NAME.csv`` of a folder.
 
-    Files are written when fifty times the time a writing takes has passed since the last one: what is lost if the
-    process is killed took no longer than that, and writing takes no more than a fiftieth of the time.
+    Files are written when a hundred times the time a writing takes has passed since the last one: what is lost if the
+    process is killed took no longer than that, and writing takes no more than a hundredth of the time.
     """
 
     def __init__(self, folder: str | Path | None, name: str, about: Mapping[str, Any]):
@@ -99,7 +99,7 @@ class Store:
         write_text(self._path, json.dumps(document, allow_nan=False))
         write_text(self._path.with_suffix(".csv"), table(map(summary, self.rows.values())))
         end = time.perf_counter()
-        self._due = end + 50 * (end - start)
+        self._due = end + 100 * (end - start)
 
 
 def read(path: Path) -> tuple[dict[str, Any], dict[str, Row]]:
