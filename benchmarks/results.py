@@ -263,7 +263,8 @@ def main():
     studies = {name: study.load(data, f"tradeoff_{name}") for name in PAGES
                if (data / f"tradeoff_{name}.json").exists()}
     for name, found in studies.items():
-        plot.trade(found, PAGES[name].quantity).savefig(figures / f"tradeoff_{name}.png", dpi=120)
+        figure = plot.trade(found, PAGES[name].quantity, known=known(PAGES[name]))
+        figure.savefig(figures / f"tradeoff_{name}.png", dpi=120)
     (options.out / "results.md").write_text(page_of(studies, data))
 
 

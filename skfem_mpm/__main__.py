@@ -84,7 +84,8 @@ def _tradeoff(options: argparse.Namespace) -> int:
                            progress=_bar(tqdm))
     quantity = options.quantity or study.PROBLEMS[options.scene].quantity
     print(found.table(quantity))
-    plot.trade(found, quantity).savefig(options.out / "tradeoff.png", dpi=130)
+    known = study.PROBLEMS[options.scene].known().get(quantity or "", 0.0)
+    plot.trade(found, quantity, known=known).savefig(options.out / "tradeoff.png", dpi=130)
     print(f"tradeoff.csv, tradeoff.json and tradeoff.png are in {options.out}")
     return 0
 

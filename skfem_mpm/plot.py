@@ -13,8 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy import ndarray
 
-# One colour per method; other arguments of a choice choose the marker.
-COLOURS = ("#4477aa", "#ee6677", "#228833", "#aa3377", "#ccbb44", "#66ccee", "#333333", "#ee8866")
+# One colour per method, the same in every picture; other arguments of a choice choose the marker.
+COLOURS = {"mpm": "#4477aa", "gimp": "#ee6677", "cmpm": "#228833", "fe-gimp": "#66ccee", "gc": "#aa3377",
+           "cmpm-c": "#ccbb44"}
+OTHERS = ("#333333", "#ee8866", "#999933", "#882255")
 MARKERS = "os^Dv<>pPX*hd8"
 
 
@@ -37,7 +39,8 @@ def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequenc
     """
     cost, error = np.asarray(cost, dtype=float), np.asarray(error, dtype=float)
     shown = (cost > 0) & (error > 0) & np.isfinite(cost * error)
-    colours = dict(zip(dict.fromkeys(groups), COLOURS * len(groups)))
+    others = [group for group in dict.fromkeys(groups) if group not in COLOURS]
+    colours = COLOURS | dict(zip(others, OTHERS * len(others)))
     best = [index for index in front if shown[index]]
     axes.step(cost[best], error[best], where="post", color="0.75", lw=5, solid_capstyle="round", zorder=1,
               label="front")
@@ -81,7 +84,8 @@ def _number(value: float, position: int | None = None) -> str:
     return f"{value:g}" if 1e-4 < value < 1e5 else f"$10^{{{np.log10(value):.0f}}}$"
 
 
-def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall_s", "memory_mb")) -> Figure:
+def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall_s", "memory_mb"),
+          known: float = 0.0) -> Figure:
     """Error against cost of a study, with the runs that nobody beats in both.
 
     Parameters
@@ -92,24 +96,28 @@ def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall
         Which error; the first one if not given.
     costs
         Columns to draw it against, a panel each; those of which nothing is known are left out.
+    known
+        How far the reference may itself be off; errors below are shaded, for they cannot be told apart.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
     words = {"wall_s": "seconds", "cpu_s": "seconds of the processor", "memory_mb": "peak memory / MB"}
-    known = [cost for cost in costs if np.isfinite(study.column(cost)).any()] or list(costs[:1])
-    figure, places = plt.subplots(1, len(known), figsize=(4.6 * len(known) + 2.8, 4.4), sharey=True, squeeze=False,
+    costs = [cost for cost in costs if np.isfinite(study.column(cost)).any()] or list(costs[:1])
+    figure, places = plt.subplots(1, len(costs), figsize=(4.6 * len(costs) + 2.8, 4.4), sharey=True, squeeze=False,
                                   layout="constrained")
     name = study.error_name(quantity)
     order = sorted(range(len(study.rows)), key=lambda index: float(np.prod(study.rows[index].get("cells") or 0)))
     rows = [study.rows[index] for index in order]
     kinds, groups = [study.label(row) for row in rows], [str(row.get("method", "")) for row in rows]
     place = {id(row): index for index, row in enumerate(rows)}
-    for axes, cost in zip(places[0], known):
+    for axes, cost in zip(places[0], costs):
         front = [place[id(row)] for row in study.front(quantity, cost)]
         error_against_cost(axes, study.column(cost)[order], study.column(name)[order], front, groups, kinds)
         axes.set_xlabel(words.get(cost, cost))
+        if known:
+            axes.axhspan(known / 1e9, known, color="0.5", alpha=0.15, lw=0, label="within the reference's own error")
     errors = study.column(name)
     errors = errors[(errors > 0) & np.isfinite(errors)]
     if len(errors):
