@@ -88,7 +88,8 @@ def options():
     parser.add_argument("--scheduler", metavar="ADDRESS", help="run on the Dask cluster with this scheduler instead")
     parser.add_argument("--resume", action="store_true", help="go on with the realisations that are in the folder")
     chosen = parser.parse_args()
-    chosen.count = chosen.count or (12 if chosen.quick else 200)
+    if chosen.count is None:
+        chosen.count = 12 if chosen.quick else 200
     return chosen
 
 
@@ -108,7 +109,7 @@ def run(chosen, function):
     kept = chosen.out / "realisations.jsonl"
     if not chosen.resume:
         kept.unlink(missing_ok=True)
-    with dask(chosen.scheduler) as client, tqdm(total=chosen.count, unit=" cuts", leave=False) as bar:
+    with dask(chosen.scheduler) as client, tqdm(total=chosen.count, unit=" cuts", leave=False, disable=None) as bar:
         return ensemble(function, chosen.count, seed=chosen.seed, out=kept, workers=chosen.workers,
                         executor=client and client.get_executor(), progress=lambda done, _: bar.update(done - bar.n))
 

@@ -36,6 +36,7 @@ def main():
     best = within[0]
     print(f"the cheapest within 1 %: {found.label(best)} with {best['cells']} cells, error "
           f"{100 * best['error_all']:.2g} % in {best['wall_s']:.2g} s")
+    print(f"Pictures and tables are in {options.out}.")
 
 
 if __name__ == "__main__":              # memory is measured in processes of their own, which read this file again

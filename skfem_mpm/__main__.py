@@ -47,9 +47,9 @@ def _parser() -> argparse.ArgumentParser:
         trade.add_argument(f"--{name}", type=_whole, metavar="N,...")
     trade.add_argument("--quick", action="store_true", help="coarse grids and few steps, below a minute")
     trade.add_argument("--no-memory", dest="memory", action="store_false", help="do not measure peak memory")
-    trade.add_argument("--out", type=Path, default=Path("results/tradeoff"), help="folder of tradeoff.csv, .json, .png")
+    trade.add_argument("--out", type=Path, help="folder of tradeoff.csv, .json, .png (results/tradeoff/SCENE)")
     best.add_argument("--tolerance", type=float, required=True, help="largest error, such as 0.01")
-    best.add_argument("--steps", type=int, help="number of steps; the scene's own if not given")
+    best.add_argument("--steps", type=int, help="load steps of cylinder or column; the scene's own if not given")
     best.add_argument("--cost", choices=study.COSTS, default="cpu_s", help="what is to be least (cpu_s)")
     best.add_argument("--out", type=Path, help="folder in which runs are kept, and found again")
     return parser
@@ -78,15 +78,15 @@ def _tradeoff(options: argparse.Namespace) -> int:
 
     names = [name.replace("-", "_") for name in (*LISTS, *NUMBERS)]
     axes = {name: values for name in names if (values := getattr(options, name)) is not None}
+    out = options.out or Path("results/tradeoff") / options.scene
     if options.quick:
         axes = {**QUICK.get(options.scene, {}), **axes}
-    found = study.tradeoff(options.scene, **axes, repeats=options.repeats, memory=options.memory, out=options.out,
+    found = study.tradeoff(options.scene, **axes, repeats=options.repeats, memory=options.memory, out=out,
                            progress=_bar(tqdm))
     quantity = options.quantity or study.PROBLEMS[options.scene].quantity
     print(found.table(quantity))
-    known = study.PROBLEMS[options.scene].known().get(quantity or "", 0.0)
-    plot.trade(found, quantity, known=known).savefig(options.out / "tradeoff.png", dpi=130)
-    print(f"tradeoff.csv, tradeoff.json and tradeoff.png are in {options.out}")
+    plot.trade(found, quantity).savefig(out / "tradeoff.png", dpi=130)
+    print(f"tradeoff.csv, tradeoff.json and tradeoff.png are in {out}")
     return 0
 
 

@@ -21,7 +21,7 @@ MARKERS = "os^Dv<>pPX*hd8"
 
 
 def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequence[int], groups: Sequence[str],
-                       kinds: Sequence[str]) -> None:
+                       kinds: Sequence[str], sizes: Sequence[Any] = ()) -> None:
     """Runs as points, those of one way to compute joined in their order, and the runs that nobody beats as a staircase.
 
     Parameters
@@ -36,6 +36,8 @@ def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequenc
         ``(n,)``; what chooses the colour: the method.
     kinds
         ``(n,)``; labels of the ways to compute, of which each has its marker.
+    sizes
+        ``(n,)``; what stands beside runs of the front, if given.
     """
     cost, error = np.asarray(cost, dtype=float), np.asarray(error, dtype=float)
     shown = (cost > 0) & (error > 0) & np.isfinite(cost * error)
@@ -55,6 +57,9 @@ def error_against_cost(axes: Axes, cost: ndarray, error: ndarray, front: Sequenc
         axes.plot(cost[mine], error[mine], marker=marker, ms=5, lw=0.9, color=colours[group], mec="white", mew=0.4,
                   label=kind, zorder=3 if set(mine) & set(best) else 2)
     axes.plot(cost[best], error[best], "o", ms=11, mfc="none", mec="0.25", mew=1.0, zorder=4)
+    for index in best if len(sizes) else ():
+        axes.annotate(str(sizes[index]), (cost[index], error[index]), (-7, -4), textcoords="offset points", fontsize=7,
+                      ha="right", va="top")
     if not shown.any():
         axes.text(0.5, 0.5, "no run has both", ha="center", transform=axes.transAxes)
     else:
@@ -84,9 +89,10 @@ def _number(value: float, position: int | None = None) -> str:
     return f"{value:g}" if 1e-4 < value < 1e5 else f"$10^{{{np.log10(value):.0f}}}$"
 
 
-def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall_s", "memory_mb"),
-          known: float = 0.0) -> Figure:
+def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall_s", "memory_mb")) -> Figure:
     """Error against cost of a study, with the runs that nobody beats in both.
+
+    Errors below what the scene's reference is known to are shaded, for they cannot be told apart.
 
     Parameters
     ----------
@@ -96,8 +102,6 @@ def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall
         Which error; the first one if not given.
     costs
         Columns to draw it against, a panel each; those of which nothing is known are left out.
-    known
-        How far the reference may itself be off; errors below are shaded, for they cannot be told apart.
 
     Returns
     -------
@@ -112,9 +116,11 @@ def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall
     rows = [study.rows[index] for index in order]
     kinds, groups = [study.label(row) for row in rows], [str(row.get("method", "")) for row in rows]
     place = {id(row): index for index, row in enumerate(rows)}
+    known = study.about.get("known", {}).get(name[len("error_"):], 0.0)
     for axes, cost in zip(places[0], costs):
         front = [place[id(row)] for row in study.front(quantity, cost)]
-        error_against_cost(axes, study.column(cost)[order], study.column(name)[order], front, groups, kinds)
+        error_against_cost(axes, study.column(cost)[order], study.column(name)[order], front, groups, kinds,
+                           [row.get("cells", "") for row in rows])
         axes.set_xlabel(words.get(cost, cost))
         if known:
             axes.axhspan(known / 1e9, known, color="0.5", alpha=0.15, lw=0, label="within the reference's own error")
@@ -122,7 +128,13 @@ def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall
     errors = errors[(errors > 0) & np.isfinite(errors)]
     if len(errors):
         places[0, 0].set_ylim(_limits(errors))
-    places[0, 0].set_ylabel(f"error: {name[len('error_'):]}")
-    figure.suptitle(f"{study.about['scene']}: error against cost", fontsize=11)
+    places[0, 0].set_ylabel(f"relative error ({name[len('error_'):].replace('_', ' ')})")
+    figure.suptitle(f"{study.about['scene']}{_steps(rows)}; numbers are cells", fontsize=11)
     figure.legend(*places[0, 0].get_legend_handles_labels(), loc="outside right center", fontsize=8)
     return figure
+
+
+def _steps(rows: Sequence[Any]) -> str:
+    """The number of steps, if all rows have the same."""
+    steps = {row.get("steps") for row in rows}
+    return f", steps={steps.pop()}" if len(steps) == 1 and steps != {None} else ""

@@ -1,6 +1,7 @@
 """The cheapest choice, on scenes whose error and cost are known laws: what brute force finds, or a true "no"."""
 
 import math
+import warnings
 import zlib
 from types import SimpleNamespace
 
@@ -46,6 +47,8 @@ class Scene:
             raise ValueError(f"method: got {method!r}, which cannot be run here")
         if self.cells in getattr(law, "stops", ()):
             raise RuntimeError("no equilibrium")
+        if getattr(law, "warns", False):
+            warnings.warn("waves grow", stacklevel=2)
         yield SimpleNamespace(step=1, particles=SimpleNamespace(n=self.cells), law=law, model=model)
 
     def errors(self, state):
@@ -132,6 +135,33 @@ def test_why_it_is_not_reachable():
         f"slow would need some {math.ceil(1 / 0.9e-3):.3g} cells"]
 
 
+def test_what_is_said_of_cells_that_would_be_needed_is_said_to_be_a_guess_where_it_is_one():
+    bends = Law()
+    bends.error = {10: 0.4, 20: 0.1, 40: 0.053}.get
+    one = Law(1.0, 1.0, wrong=(10, 20))
+    notes = ask({"bends": bends, "one": one}, 1e-4).notes
+    assert any(note.startswith("bends would need") and "not in the asymptotic range (orders 2, 0.92)" in note
+               for note in notes)
+    assert any(note.startswith("one lacks pilots [10, 20]") for note in notes)
+    assert "one has one run only, which tells no order" in notes
+
+
+def test_ways_that_warn_are_left_out_unless_all_do():
+    laws = {"shaky": Law(1.0, 2.0, 1e-6), "gc": Law(1.0, 1.0)}
+    laws["shaky"].warns = True
+    answer = ask(laws, 0.05)
+    assert answer.choice["method"] == "gc" and "shaky falls out: waves grow" in answer.notes
+    answer = ask({"shaky": laws["shaky"]}, 0.05)
+    assert answer.choice["method"] == "shaky" and "shaky warns: waves grow" in answer.notes
+
+
+def test_a_smaller_model_may_leave_an_argument_out():
+    answer = ask({"mpm": Law()}, 0.02, choices=[{"method": "mpm", "model": "alike"}],
+                 simpler={"plain": {"dim": 1, "model": None}, "nothing": {"other": None}})
+    assert [each.name for each in answer.smaller] == ["plain"]
+    assert "model" not in next(row for row in answer.rows if row.get("dim") == 1)
+
+
 def test_pilots_that_are_not_asymptotic():
     pre = Law()
     pre.error = {10: 0.5, 20: 0.4, 40: 0.02}.get
@@ -151,7 +181,8 @@ def test_errors_that_are_not_numbers_are_not_recommended():
     laws = {"mpm": Law(1.0, 1.0, wrong=range(1, 1000)), "gc": Law(1.0, 1.0, 1.0, wrong=(20,)),
             "x": Law(names=["other"])}
     answer = ask(laws, 0.015)
-    assert [note.split(":")[0] for note in answer.notes[:2]] == ["mpm falls out", "x falls out"]
+    assert [note.split(":")[0] for note in answer.notes[:3]] == ["mpm falls out", "gc lacks pilots [20]",
+                                                                      "x falls out"]
     assert answer.choice["method"] == "gc" and np.isfinite(answer.row["error_all"])
     with pytest.raises(ValueError, match="none that can be run; mpm falls out: its error 'all' is not a finite number"):
         ask({"mpm": Law(wrong=range(1000))}, 0.1)
@@ -174,9 +205,10 @@ def test_smaller_models_are_judged_by_what_they_measure():
     answer = ask({"mpm": Law(1.0, 1.0)}, 0.02, simpler=simpler)
     found = {each.name: each for each in answer.smaller}
     assert list(found) == ["elastic", "small strain", "in 1-D", "alike"]        # no smaller model, no comparison
-    assert [each.would_do for each in answer.smaller] == [False, True, True, False]    # alike is not cheaper
+    assert [each.would_do for each in answer.smaller] == [False, True, True, True]
+    assert found["alike"].cost == answer.row["cpu_s"]                           # as good, and what it costs is said
     assert found["elastic"].error == pytest.approx(5 * answer.row["error_all"])
-    assert "a smaller model would do: in 1-D" in str(answer) and "no smaller model will do: elastic" in str(answer)
+    assert "in 1-D would do: error" in str(answer) and "elastic would not do: error" in str(answer)
     failing, = ask({"gc": Law()}, 0.02, simpler={"in 1-D": {"dim": 1}}).smaller
     assert not failing.would_do and failing.reason.startswith("ValueError") and "cannot be run" in str(failing)
     unknown, = ask({"mpm": Law()}, 0.02, simpler={"x": {"nothing": 1}}).smaller

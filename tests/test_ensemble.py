@@ -23,10 +23,12 @@ from skfem_mpm.study.processes import Processes
 
 COUNT = 24
 STUDY = """
-import sys
+import signal
 from functools import partial
 from realisations import slow
 from skfem_mpm.study import ensemble
+
+signal.signal(signal.SIGINT, signal.default_int_handler)        # what runs in the background may have it ignored
 
 if __name__ == "__main__":
     ensemble(partial(slow, folder={folder!r}, seconds=0.05), 60, seed=5, out={out!r}, workers=2)

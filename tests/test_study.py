@@ -239,7 +239,7 @@ def test_peak_memory_is_that_of_the_run_and_a_process_that_dies_is_a_row():
     well, large, dead, bug = found.rows
     assert len(ours) and well["memory_mb"] < 100 and 199 <= large["memory_mb"] < 400
     assert dead["status"] == "failed" and "exit code 7" in dead["reason"] and bug["status"] == "failed"
-    assert "exit code 1: an error that its output shows" in bug["reason"]
+    assert bug["reason"] == "KeyError: 'no such thing'"
     assert found.front(cost="memory_mb")[0] is well
     assert plainly().rows[0]["error_error"] == well["error_error"]
 
@@ -267,7 +267,7 @@ def test_files_are_strict_json_and_the_same_csv(tmp_path):
     def refuse(name):
         raise AssertionError(f"{name} is not JSON")
     document = json.loads((tmp_path / "tradeoff.json").read_text(), parse_constant=refuse)
-    assert len(document["rows"]) == 4 and document["about"]["scene"] == "make_measured"
+    assert len(document["rows"]) == 4 and document["about"]["scene"] == "fake_scenes.make_measured"
     with (tmp_path / "tradeoff.csv").open() as file:
         table = list(csv.DictReader(file))
     again = study.load(tmp_path)
@@ -400,10 +400,43 @@ def test_rows_of_another_machine_are_not_mixed_in(tmp_path, name, value):
 
 def test_rows_of_another_scene_are_not_mixed_in(tmp_path):
     plainly(functools.partial(make, per_cell=2), out=tmp_path)
-    assert plainly(functools.partial(make, per_cell=2), out=tmp_path).about["scene"] == "make(per_cell=2)"
+    assert plainly(functools.partial(make, per_cell=2), out=tmp_path).about["scene"] == "fake_scenes.make(per_cell=2)"
     for other in (make, functools.partial(make, per_cell=3), make_measured):
         with pytest.raises(ValueError, match="made with scene="):
             plainly(other, out=tmp_path)
+
+
+class Bare:
+    """The least that a scene can be."""
+
+    def __init__(self, cells):
+        self.cells = cells
+
+    def run(self):
+        return iter([self.cells])
+
+    def error(self, state):
+        return 1 / state
+
+
+class Silent(Bare):
+    """One that measures nothing."""
+
+    error = property()
+
+
+def test_the_least_that_a_scene_can_be_and_less():
+    found = study.tradeoff(Bare, cells=[4], choices=[{}], repeats=1, memory=False)
+    assert found.rows[0]["error_error"] == 0.25 and np.isnan(found.rows[0]["point_steps_per_s"])
+    silent = study.tradeoff(Silent, cells=[4], choices=[{}], repeats=1, memory=False)
+    assert silent.rows[0]["status"] == "failed" and "measures nothing" in silent.rows[0]["reason"]
+
+
+def test_a_study_knows_how_far_the_reference_is_known():
+    cut = {loading: study.tradeoff("cut", ["mpm"], [2], more={"loading": [loading]}, repeats=0, memory=False)
+           for loading in ("sudden", "ramped")}
+    assert 0.01 < cut["sudden"].about["known"]["toe"] < cut["ramped"].about["known"]["toe"] < 0.5
+    assert study.tradeoff("bar", ["mpm"], [4], repeats=0, memory=False).about["known"] == {}
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"about": {}, "rows": [{"a": 1}]}', "no json"])
@@ -427,6 +460,8 @@ def test_a_file_of_something_else_is_refused(tmp_path, text):
     ({"scene": "circle"}, ValueError, "scene: got 'circle', expected one of"), ({"scene": 3}, TypeError, "scene: got"),
     ({"scene": make()}, TypeError, "scene: got Scene"),
     ({"scene": lambda cells: make(cells), "memory": True}, TypeError, "top of a module. Or give memory=False"),
+    ({"scene": lambda cells: make(cells), "out": "nowhere"}, ValueError, "does not tell it from others"),
+    ({"scene": "bar", "steps": [3]}, ValueError, "steps: got some for 'bar', whose runs cover a span of time"),
 ])
 def test_bad_input_is_refused(arguments, error, message):
     with pytest.raises(error, match=message):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from .store import Row
 from .trade import COSTS, Progress, Study, tradeoff
 from .trend import Trend
 
+WHOLE: Any = Integral      # of a type that mypy takes for any
 TRIES = 12                 # runs beyond the pilots
 MORE = 4                   # how much finer than the finest pilot a grid may get, if nothing is said
 
@@ -27,11 +29,11 @@ class Smaller:
     Attributes
     ----------
     name, change
-        What it is, and the arguments that make it.
+        What it is, and the arguments that make it (``None`` for one that is left out).
     error, cost
         Measured; not a number if it cannot be run.
     would_do
-        Whether it is as good (within the tolerance, or no worse) and cheaper.
+        Whether it is as good: within the tolerance, or no worse.
     reason
         Why it cannot be run, if so.
     """
@@ -46,8 +48,8 @@ class Smaller:
     def __str__(self) -> str:
         if self.reason:
             return f"{self.name} cannot be run: {self.reason[:160]}"
-        verdict = "a smaller model would do" if self.would_do else "no smaller model will do"
-        return f"{verdict}: {self.name}, error {self.error:.3g}, cost {self.cost:.3g}"
+        verdict = "would do" if self.would_do else "would not do"
+        return f"{self.name} {verdict}: error {self.error:.3g}, cost {self.cost:.3g}"
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class Recommendation:
     choice
         Its arguments, the number of cells among them; the best one that was run if none is within.
     predicted
-        ``error`` and ``cost`` expected of it before it was run with so many cells.
+        ``error`` and ``cost`` expected of it before it was run with so many cells; of a pilot, what the pilot gave.
     row
         What was measured in the end, as in :class:`~skfem_mpm.study.Study`.
     tolerance, quantity, cost
@@ -116,14 +118,15 @@ def cheapest(scene: Any, tolerance: float, quantity: str | None = None, *, choic
     quantity
         Which error; the problem's own, or the first one, if not given.
     choices
-        Ways to compute to choose from; the problem's if not given.
+        Ways to compute to choose from; the problem's if not given.  Those that warn are left out, unless all do.
     pilots
-        Numbers of cells of the first runs, at least two; the first three of the problem if not given.
+        Numbers of cells of the first runs, at least two; the first three of the problem if not given.  Coarser grids
+        than these are not considered.
     most
         Largest number of cells to consider; four times the finest pilot if not given.
     simpler
         Smaller models to compare with, as arguments by name, such as ``{"elastic": {"material": LinearElastic(...)}}``;
-        those of the problem if not given.
+        those of the problem if not given.  An argument that is ``None`` is left out.
     cost
         What is to be least: ``cpu_s``, which other work on the machine disturbs least, ``wall_s`` or ``memory_mb``.
     repeats
@@ -148,6 +151,9 @@ def cheapest(scene: Any, tolerance: float, quantity: str | None = None, *, choic
     (True, True)
     """
     problem = find_problem(scene)
+    models = problem.simpler if simpler is None else simpler
+    if not isinstance(models, Mapping):
+        raise TypeError(f"simpler: got {models!r}, expected arguments by name such as {{'elastic': {{...}}}}.")
     check_positive("tolerance", tolerance)
     check_choice("cost", cost, COSTS)
     check_positive("repeats", repeats)
@@ -156,13 +162,12 @@ def cheapest(scene: Any, tolerance: float, quantity: str | None = None, *, choic
     most = _check_sizes(pilots, most, ways)
     search = _Search(problem, float(tolerance), quantity or problem.quantity, cost, most,
                      {"name": "cheapest", "out": out, "progress": progress, "memory": cost == "memory_mb"})
-    search.pilot(ways, pilots)
-    search.warn_of_reference()
+    study = search.pilot(ways, pilots)
+    search.warn_of_reference(study.about["known"].get(search.quantity, 0.0))
     choice, predicted = search.best()
     row, = search.run([choice], repeats).rows
     reached = search.error(row) <= search.tolerance
-    models = problem.simpler if simpler is None else simpler
-    smaller = tuple(search.compare(name, change, choice, row) for name, change in models.items()
+    smaller = tuple(search.compare(name, change, choice, row, repeats) for name, change in models.items()
                     if changes(problem.make, choice, change))
     return Recommendation(reached, choice, predicted, row, search.tolerance, search.quantity or "", cost,
                           tuple(search.notes), smaller, tuple(search.rows))
@@ -176,7 +181,9 @@ def _check_sizes(pilots: Sequence[int], most: int | None, ways: Sequence[Choice]
                          "most.")
     if len(pilots) < 2:
         raise ValueError(f"pilots: got {pilots}, expected at least two numbers of cells, from which to go on.")
-    check_positive("pilots", pilots)
+    for name, number in [("pilots", each) for each in pilots] + [("most", pilots[-1] if most is None else most)]:
+        if not (isinstance(number, WHOLE) and number >= 1):
+            raise ValueError(f"{name}: got {number!r}, expected a whole number of cells of at least 1.")
     if most is not None and most < pilots[-1]:
         raise ValueError(f"most: got {most}, expected at least the finest pilot, {pilots[-1]}; give coarser pilots.")
     return MORE * pilots[-1] if most is None else most
@@ -212,8 +219,8 @@ class _Search:
         """The error that counts; not a number if the run failed or does not have it."""
         return row.get(f"error_{self.quantity}", np.nan) if row["status"] == "done" else np.nan
 
-    def pilot(self, choices: Sequence[Choice], pilots: Sequence[int]) -> None:
-        """The first runs of every way to compute; those of which none can be used fall out."""
+    def pilot(self, choices: Sequence[Choice], pilots: Sequence[int]) -> Study:
+        """The first runs of every way to compute; those of which none can be used fall out, and those that warn."""
         study = self.run([{**choice, "cells": cells} for choice in choices for cells in pilots])
         if study.quantities:
             self.quantity = study.error_name(self.quantity)[len("error_"):]
@@ -221,16 +228,29 @@ class _Search:
         for choice in choices:
             mine = {cells: next(rows) for cells in pilots}
             way = _Way(choice, {cells: row for cells, row in mine.items() if self._usable(row)})
+            missing = [cells for cells in pilots if cells not in way.done]
             if way.done:
                 self.ways.append(way)
-            else:
-                self.notes.append(f"{label(choice)} falls out: {self._why(mine[pilots[-1]])}")
+            if missing:
+                what = f"lacks pilots {missing}" if way.done else "falls out"
+                self.notes.append(f"{label(choice)} {what}: {self._why(mine[missing[-1]])}")
         if not self.ways:
             raise ValueError("choices: got none that can be run; " + "; ".join(self.notes))
+        self._set_aside()
+        return study
 
-    def warn_of_reference(self) -> None:
+    def _set_aside(self) -> None:
+        """Leave out ways to compute that warn, but if all do: whatever their error here, they are not to be trusted."""
+        warned = {id(way): text for way in self.ways for row in way.done.values() if (text := row.get("warnings"))}
+        trusted = [way for way in self.ways if id(way) not in warned]
+        for way in self.ways:
+            if id(way) in warned:
+                what = "falls out" if trusted else "warns"
+                self.notes.append(f"{label(way.choice)} {what}: {warned[id(way)][:160]}")
+        self.ways = trusted or self.ways
+
+    def warn_of_reference(self, known: float) -> None:
         """A reference that is not exact may be further off than the tolerance."""
-        known = self.problem.known().get(self.quantity or "", 0.0)
         if known > self.tolerance:
             self.notes.append(f"the scene's reference may itself be off by {known:.2g}, more than the tolerance: "
                               "smaller errors are agreement with it, no more")
@@ -309,22 +329,26 @@ class _Search:
         for way in self.ways:
             trend = self.trend(way)
             needed = trend.needed(self.tolerance)
-            why = (f"stalls (orders {_orders(trend)})" if needed is None else
+            why = ("has one run only, which tells no order" if len(way.done) < 2 else
+                   f"stalls (orders {_orders(trend)})" if needed is None else
                    f"would need some {needed:.3g} cells, more than {self.most}" if needed > self.most else
                    f"was not found within {TRIES} runs")
+            if not (len(way.done) < 2 or needed is None or trend.asymptotic):
+                why += f"; but its runs are not in the asymptotic range (orders {_orders(trend)})"
             if not way.stopped:
                 self.notes.append(f"{label(way.choice)} {why}")
         cost, error, index, cells = min(self._measured(), key=lambda run: run[1])
         return {**self.ways[index].choice, "cells": cells}, {"error": error, "cost": cost}
 
-    def compare(self, name: str, change: Choice, choice: Choice, row: Row) -> Smaller:
+    def compare(self, name: str, change: Choice, choice: Choice, row: Row, repeats: int) -> Smaller:
         """What a smaller model gives instead of the recommended choice."""
-        other, = self.run([{**choice, **change}]).rows
+        smaller = {key: value for key, value in {**choice, **change}.items() if value is not None}
+        other, = self.run([smaller], repeats).rows
         if not self._usable(other):
             return Smaller(name, change, np.nan, np.nan, False, self._why(other))
-        error, cost = self.error(other), other[self.cost]
+        error = self.error(other)
         good = error <= max(self.tolerance, 1.01 * self.error(row))
-        return Smaller(name, change, error, cost, bool(good and cost < row[self.cost]))
+        return Smaller(name, change, error, other[self.cost], bool(good))
 
 
 def _orders(trend: Trend) -> str:

@@ -124,4 +124,5 @@ def make_scene(make: Callable[..., Any], choice: Choice) -> tuple[Any, dict[str,
 def changes(make: Callable[..., Any], choice: Choice, change: Choice) -> bool:
     """Whether a change of a choice makes another scene or run, defaults of the scene taken into account."""
     defaults = {name: each.default for name, each in inspect.signature(make).parameters.items()}
-    return any(plain(choice.get(name, defaults.get(name))) != plain(value) for name, value in change.items())
+    return any(plain(choice.get(name, defaults.get(name))) != plain(value) for name, value in change.items()
+               if value is not None or name in choice)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pickle
 import re
-import sys
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, closing, nullcontext
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from .ledger import Ledger, Row
+from .names import name_of
 from .processes import DIED, Processes, answers, cores
 from .store import versions
 
@@ -90,7 +90,7 @@ def ensemble(function: Function, count: int, *, seed: int = 0, out: str | os.Pat
     ([0, 1, 2], 'finished', True)
     """
     _check(function, count, seed, executor, workers, ahead, progress)
-    name = _name(function)
+    name = name_of(function)
     if out is not None and re.search(" at 0x[0-9a-fA-F]+", name):
         raise ValueError(f"function: got {name}, which has another name next time, so a file cannot say whose rows it "
                          "has; expected a function, or a functools.partial with arguments that their repr shows.")
@@ -203,17 +203,3 @@ def _check(function: Any, count: Any, seed: Any, executor: Any, workers: Any, ah
         raise ValueError(f"workers: got {workers} with an executor, which has its own; leave it out.")
     if progress is not None and not callable(progress):
         raise TypeError(f"progress: got {progress!r}, expected a function of the numbers done and to do.")
-
-
-def _name(function: Any) -> str:
-    """Name of a function with the arguments it was given, the same in every process."""
-    if isinstance(function, partial):
-        with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
-            given = [repr(value) for value in function.args]
-            given += [f"{name}={value!r}" for name, value in sorted(function.keywords.items())]
-        return f"{_name(function.func)}({', '.join(given)})"
-    if not hasattr(function, "__qualname__") or hasattr(function, "__self__"):
-        return repr(function)
-    module = sys.modules.get(function.__module__)
-    script = getattr(module, "__file__", None) if function.__module__ == "__main__" else None
-    return f"{Path(script).stem if script else function.__module__}.{function.__qualname__}"

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 from .. import scenes
 from ..checks import check_choice
 from ..materials import LinearElastic
 from ..scenes.vertical_cut_reference import cut_reference
-from .choices import Choice, plain
+from .choices import Choice
+from .names import name_of
 
 STRETCHED = {"domains": "stretched"}
+
+
+def exact(choice: Choice) -> Mapping[str, float]:
+    """Nothing: the reference is a closed form."""
+    return {}
 
 
 @dataclass(frozen=True)
@@ -35,8 +40,10 @@ class Problem:
     simpler
         Smaller models by name, as arguments that make them.
     known
-        Says how far the scene's reference may itself be off, by the name of the error; errors below cannot be told
-        apart.  Exact references have none.
+        Says of a choice how far the scene's reference may itself be off, by the name of the error; errors below cannot
+        be told apart.
+    spans
+        Whether a run covers a span of time, in as many steps as the time step makes of it.
     """
 
     name: str
@@ -45,7 +52,8 @@ class Problem:
     cells: tuple[int, ...] = (10, 20, 40)
     quantity: str | None = None
     simpler: Mapping[str, Choice] = field(default_factory=dict)
-    known: Callable[[], Mapping[str, float]] = dict
+    known: Callable[[Choice], Mapping[str, float]] = exact
+    spans: bool = False
 
 
 def column(cells: int = 16, per_cell: int = 2, dim: int = 1) -> scenes.SelfWeight:
@@ -58,9 +66,9 @@ def cut(cells: int = 10, per_cell: int = 2, loading: str = "sudden") -> scenes.V
     return scenes.vertical_cut(1 / cells, per_cell=per_cell, loading=loading)
 
 
-def cut_known() -> Mapping[str, float]:
+def cut_known(choice: Choice) -> Mapping[str, float]:
     """How far the reference of the cut may itself be off."""
-    return cut_reference("sudden").uncertainty()
+    return cut_reference(choice.get("loading", "sudden")).uncertainty()
 
 
 PROBLEMS = {problem.name: problem for problem in (
@@ -83,12 +91,13 @@ PROBLEMS = {problem.name: problem for problem in (
                      {"method": "gimp", "engine": "numba"}, {"method": "gimp", "integrator": "usl"},
                      {"method": "gimp", "xpic": 2}, {"method": "cmpm-c"}, {"method": "cmpm-c", "xpic": 2},
                      {"method": "gc"}, {"method": "gimp", "integration": "dual"}),
-            cells=(8, 16, 32, 64), quantity="stress", simpler={"implicit steps": {"solver": "implicit"}}),
+            cells=(8, 16, 32, 64), quantity="stress", spans=True,
+            simpler={"implicit steps": {"solver": "implicit", "integrator": None, "xpic": None}}),
     Problem("cut", cut,
             choices=({"method": "mpm"}, {"method": "gimp"}, {"method": "gimp", "remedy": "bbar"}, {"method": "cmpm"},
                      {"method": "cmpm-c"}, {"method": "gc"}, {"method": "gimp", "integration": "dual"}),
             cells=(10, 20, 40), quantity="toe", simpler={"elastic": {"material": LinearElastic(E=400e3, nu=0.35)}},
-            known=cut_known),
+            known=cut_known, spans=True),
 )}
 
 
@@ -108,12 +117,4 @@ def find_problem(scene: Any) -> Problem:
     if not callable(scene):
         raise TypeError(f"scene: got {type(scene).__name__}, expected a name such as 'cylinder', or a function that "
                         "makes a scene, so that it can be made with other cells.")
-    return Problem(_name(scene), scene)
-
-
-def _name(make: Any) -> str:
-    """What tells a function that makes a scene from others: of a partial one, what it was given belongs to it."""
-    if isinstance(make, partial):
-        given = [*map(plain, make.args), *(f"{name}={plain(value)}" for name, value in sorted(make.keywords.items()))]
-        return f"{_name(make.func)}({', '.join(map(str, given))})"
-    return getattr(make, "__name__", type(make).__name__)
+    return Problem(name_of(scene), scene)

@@ -18,9 +18,10 @@ import numpy as np
 
 from .choices import Choice, make_scene
 
-# What a run that cannot go on raises: everything that the library says, and what numpy and the machine add; and what
-# Python says of an argument that a scene or its run does not have.
-FAILURES = (ValueError, TypeError, RuntimeError, ArithmeticError, MemoryError, ImportError)
+# What a run that cannot go on raises: everything that the library says, what numpy and the machine add, and what Python
+# says of a scene of the user's that has an error.
+FAILURES = (ValueError, TypeError, RuntimeError, ArithmeticError, LookupError, AttributeError, AssertionError,
+            MemoryError, ImportError, OSError)
 MAKE = Callable[..., Any]
 
 
@@ -40,9 +41,14 @@ def measured(make: MAKE, choice: Choice) -> dict[str, Any]:
         except FAILURES as failure:
             errors, status = {}, failed(failure)
     status["warnings"] = "; ".join(dict.fromkeys(str(each.message) for each in caught))
-    sizes = [{"points": state.particles.n, "steps_done": state.step, "engine_used": getattr(state, "engine", None)}
-             for state in last]
-    return {**status, **(sizes[0] if sizes else {}), "errors": errors}
+    return {**status, **(_sizes(last[0]) if last else {}), "errors": errors}
+
+
+def _sizes(state: Any) -> dict[str, Any]:
+    """Columns of a row that a state tells, if it is of a run of the library."""
+    found = {"points": getattr(getattr(state, "particles", None), "n", None),
+             "steps_done": getattr(state, "step", None), "engine_used": getattr(state, "engine", None)}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def failed(failure: BaseException) -> dict[str, Any]:
@@ -59,6 +65,9 @@ def _watched(states: Iterable[Any], last: list[Any]) -> Iterator[Any]:
 
 def _measure(scene: Any, states: Iterable[Any]) -> dict[str, float]:
     """Named errors of a run: the scene's own measure; or those of its last state, and of its worst one."""
+    if not any(hasattr(scene, name) for name in ("measure", "errors", "error")):
+        raise TypeError(f"scene: got a {type(scene).__name__} that measures nothing; expected one with "
+                        "measure(states), errors(state) or error(state).")
     if hasattr(scene, "measure"):
         return scene.measure(states)
     history = [scene.errors(state) if hasattr(scene, "errors") else {"error": scene.error(state)} for state in states]

@@ -9,6 +9,7 @@ import os
 import platform
 import time
 from collections.abc import Iterable, Mapping
+from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -33,11 +34,19 @@ def versions() -> dict[str, str | None]:
     return found
 
 
+def source() -> str:
+    """What tells versions of this library apart, installed or not: a short digest of its files."""
+    digest = sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
 def machine() -> dict[str, Any]:
     """What seconds depend on: machine, versions, threads; and the date."""
     return {"date": time.strftime("%Y-%m-%d %H:%M"), "machine": platform.machine(), "processor": _processor(),
             "system": platform.system(), "cores": os.cpu_count(), "python": platform.python_version(),
-            "versions": versions(), "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS")}
+            "versions": versions(), "source": source(), "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS")}
 
 
 def _processor() -> str:
@@ -60,7 +69,8 @@ def summary(row: Row) -> Row:
         flat[name] = float(np.median(seconds))
         if name != "setup_s":
             flat[f"{name}_least"], flat[f"{name}_most"] = min(seconds), max(seconds)
-    flat["point_steps_per_s"] = row["points"] * row["steps_done"] / flat["wall_s"] if times else np.nan
+    work = row.get("points", np.nan) * row.get("steps_done", np.nan)
+    flat["point_steps_per_s"] = work / flat["wall_s"] if times else np.nan
     return flat
 
 

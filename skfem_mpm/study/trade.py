@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from numbers import Integral
@@ -16,7 +16,7 @@ from numpy import ndarray
 from .choices import SIZES, Choice, crossed, key, label, plain
 from .pareto import pareto
 from .problems import Problem, find_problem
-from .processes import DIED, answers
+from .processes import DIED, answers, cores
 from .runs import (
     FAILURES,
     check_sendable,
@@ -42,7 +42,7 @@ class Study:
     Attributes
     ----------
     about
-        Scene, machine, versions, threads and date.
+        Scene, machine, versions, threads and date; and how far the scene's reference is ``known``, if it is not exact.
     rows
         One dictionary for each choice: its arguments; ``status`` and ``reason``; ``error_NAME`` for each quantity;
         ``points``, ``steps_done``, ``engine_used``, ``warnings``; ``wall_s`` and ``cpu_s``, medians of ``repeats`` runs
@@ -90,10 +90,10 @@ class Study:
         """The rows as text, the most accurate last: error, seconds with least and most, memory; ``*`` on the front."""
         name = self.error_name(quantity)
         best = [id(row) for row in self.front(quantity)]
-        head = ["", "choice", "cells", name, "wall_s", "least", "most", "cpu_s", "MB", "Mpoint-steps/s"]
+        head = ["", "choice", "cells", name, "wall_s", "least", "most", "cpu_s", "MB", "Mpoint-steps/s", ""]
         lines = [[" *"[id(row) in best], self.label(row), *(_short(row.get(each)) for each in (
             "cells", name, "wall_s", "wall_s_least", "wall_s_most", "cpu_s", "memory_mb")),
-            _short(row["point_steps_per_s"] / 1e6)]
+            _short(row["point_steps_per_s"] / 1e6), "warns" if row.get("warnings") else ""]
             for row in sorted(self.rows, key=lambda row: -np.nan_to_num(row.get(name, np.nan), nan=np.inf))
             if row["status"] == "done"]
         wide = [max(map(len, column)) for column in zip(head, *lines)]
@@ -141,14 +141,15 @@ def tradeoff(scene: Any, methods: Sequence[Any] | None = None, cells: Sequence[i
     repeats
         Timed runs of each choice; 0 for none.  One that is not counted, for what is imported and compiled, is before.
     memory
-        Whether untimed runs have a process of their own each, whose peak memory is measured.
+        Whether untimed runs have a process of their own each, whose peak memory is measured; without timed runs as
+        many go on at once as there are cores.
     out
         Folder of ``NAME.json`` and ``NAME.csv``, which are whole at every moment; a study that was interrupted goes on
-        from there.
+        from there.  What failed stays failed until the files are taken away.
     name
         Of these files.
     executor
-        Where untimed runs go, if there are to be no timed ones (``repeats=0``).
+        Where untimed runs go instead, if there are to be no timed ones (``repeats=0``); memory is not measured then.
     progress
         Wraps the runs to come, as ``tqdm.tqdm`` does.
 
@@ -171,8 +172,11 @@ def tradeoff(scene: Any, methods: Sequence[Any] | None = None, cells: Sequence[i
                  integration=integrations, domains=domains, integrator=integrators, engine=engines, steps=steps)
     ways = problem.choices if "method" not in axes else [{}]
     listed = crossed(ways if choices is None else choices, **{"method": None, "cells": problem.cells, **axes})
-    _check(problem, repeats, memory, executor)
-    store = Store(out, name, {"scene": problem.name, **machine()})
+    _check(problem, listed, repeats, memory, executor)
+    if out is not None and ("<lambda>" in problem.name or " at 0x" in problem.name):
+        raise ValueError(f"scene: got {problem.name}, whose name does not tell it from others, so a folder cannot say "
+                         "whose rows it has; expected a named function, or no folder.")
+    store = Store(out, name, {"scene": problem.name, "known": _known(problem, listed), **machine()})
     for choice in listed:
         store.rows.setdefault(key(choice), _empty(choice))
     chosen = [(store.rows[key(choice)], choice) for choice in listed]
@@ -180,7 +184,7 @@ def tradeoff(scene: Any, methods: Sequence[Any] | None = None, cells: Sequence[i
         if executor is None:
             _alone(problem, chosen, repeats, memory, store, progress or iter)
         else:
-            _spread(problem, chosen, executor, store, progress or iter)
+            _spread(problem, chosen, executor, measured, store, progress or iter)
     finally:
         store.save(late=True)
     return Study({**store.about, "arguments": _arguments(listed)}, tuple(summary(row) for row, _ in chosen))
@@ -200,7 +204,20 @@ def _short(value: Any) -> str:
     return "" if value is None else str(value)
 
 
-def _check(problem: Problem, repeats: int, memory: bool, executor: Executor | None) -> None:
+def _known(problem: Problem, listed: Sequence[Choice]) -> dict[str, float]:
+    """How far the references of all choices may themselves be off at most, by the name of the error."""
+    found: dict[str, float] = {}
+    for choice in listed:
+        for quantity, error in problem.known(choice).items():
+            found[quantity] = max(error, found.get(quantity, 0.0))
+    return found
+
+
+def _check(problem: Problem, listed: Sequence[Choice], repeats: int, memory: bool,
+           executor: Executor | None) -> None:
+    if problem.spans and any("steps" in choice for choice in listed):
+        raise ValueError(f"steps: got some for {problem.name!r}, whose runs cover a span of time in as many steps as "
+                         "their cells make of it; leave them out.")
     if not (isinstance(repeats, WHOLE) and repeats >= 0):
         raise ValueError(f"repeats: got {repeats!r}, expected a whole number of at least 0.")
     if executor is not None and repeats:
@@ -223,7 +240,13 @@ def _arguments(listed: Sequence[Choice]) -> list[str]:
 
 def _alone(problem: Problem, chosen: Sequence[tuple[Row, Choice]], repeats: int, memory: bool, store: Store,
            progress: Progress) -> None:
-    """All that is to be done of every row, one after the other: errors in the first round, then times."""
+    """All that is to be done of every row, one after the other: errors in the first round, then times.
+
+    Where no times are to follow, runs that have a process of their own go on side by side.
+    """
+    if memory and not repeats:
+        with ThreadPoolExecutor(cores()) as threads:
+            return _spread(problem, chosen, threads, measured_apart, store, progress)
     jobs = [(row, choice, turn) for turn in range(repeats + 1) for row, choice in chosen
             if (_open(row, memory) if turn == 0 else len(row["times"]) < turn)]
     warm: set[str] = set()
@@ -267,18 +290,18 @@ def _time(problem: Problem, choice: Choice, row: Row, warm: set[str]) -> None:
         row.update(errors={}, times=[])
 
 
-def _spread(problem: Problem, chosen: Sequence[tuple[Row, Choice]], executor: Executor, store: Store,
+def _spread(problem: Problem, chosen: Sequence[tuple[Row, Choice]], executor: Executor, measure: Any, store: Store,
             progress: Progress) -> None:
     """Errors of every row, wherever the executor works them out."""
-    waiting = [index for index, (row, _) in enumerate(chosen) if not row["status"]]
-    task = partial(_numbered, problem.make, [choice for _, choice in chosen])
+    waiting = [index for index, (row, _) in enumerate(chosen) if _open(row, measure is measured_apart)]
+    task = partial(_numbered, measure, problem.make, [choice for _, choice in chosen])
     for index, found in progress(answers(executor, task, waiting, AHEAD)):
         chosen[index][0].update(found or {"status": "failed", "reason": DIED})
         store.save()
 
 
-def _numbered(make: Any, choices: Sequence[Choice], number: int, alone: bool = False) -> dict[str, Any]:
-    return measured(make, choices[number])
+def _numbered(measure: Any, make: Any, choices: Sequence[Choice], number: int, alone: bool = False) -> dict[str, Any]:
+    return measure(make, choices[number])
 
 
 def load(folder: str | Path, name: str = "tradeoff") -> Study:
