@@ -149,7 +149,7 @@ class Bar:
         return float(particles.mass @ (particles.velocity[0] - self.drift) ** 2 / 2)
 
     def measure(self, states: Iterable[ExplicitState]) -> dict[str, float]:
-        """Errors of a run; the first one, ``velocity``, is *the* error where one number is wanted.
+        """Errors of a run; ``velocity`` is what a user sees, ``stress`` what tells methods apart.
 
         A state has the velocity of half a step before its time (of half a step after it with ``usf``), and so has
         ``energy`` its kinetic part: both fall with the time step to first order, however fine the grid.  ``stress`` and
