@@ -25,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from skfem_mpm.output import write_text
 from skfem_mpm.scenes import vertical_cut
 from skfem_mpm.scenes.richardson import richardson
 from skfem_mpm.scenes.vertical_cut_reference import FAILED, FILE, QUANTITIES
@@ -99,11 +100,8 @@ def about(command):
 
 def write(path, content):
     """All or nothing, one line per grid, so that it can be read and compared."""
-    spare = Path(f"{path}.part")
-    spare.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(rounded(content), indent=1, allow_nan=False)
-    spare.write_text(packed(text) + "\n", encoding="utf-8")
-    os.replace(spare, path)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, packed(json.dumps(rounded(content), indent=1, allow_nan=False)) + "\n")
 
 
 def rounded(value):

@@ -26,5 +26,8 @@ def write_text(path: str | Path, text: str) -> None:
     """
     path = Path(path)
     part = path.with_name(f".{path.name}.part")
-    part.write_text(text, encoding="utf-8", newline="\n")
+    with open(part, "w", encoding="utf-8", newline="\n") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())                 # or a power cut after the replacement leaves an empty file
     os.replace(part, path)

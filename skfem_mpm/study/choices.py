@@ -96,11 +96,6 @@ def plain(value: Any) -> Any:
     return text
 
 
-def family(choice: Choice) -> dict[str, Any]:
-    """The way to compute: a choice without the sizes."""
-    return {name: value for name, value in choice.items() if name not in SIZES}
-
-
 def label(choice: Choice) -> str:
     """A choice in a few words, such as ``gc, domains=stretched``; without the sizes.
 
@@ -109,7 +104,7 @@ def label(choice: Choice) -> str:
     >>> label({"method": "cmpm", "integration": "field", "cells": 20})
     'cmpm, integration=field'
     """
-    rest = {name: plain(value) for name, value in family(choice).items()}
+    rest = {name: plain(value) for name, value in choice.items() if name not in SIZES}
     words = [str(rest.pop("method"))] if "method" in rest else []
     return ", ".join(words + [f"{name}={value}" for name, value in rest.items()]) or "as it is"
 

@@ -7,6 +7,8 @@ import os
 from pathlib import Path
 from typing import Any, TextIO
 
+from ..output import write_text
+
 Row = dict[str, Any]
 
 
@@ -78,14 +80,9 @@ class Ledger:
             self._file.close()
 
     def _write(self, path: Path) -> None:
-        """Write the whole file beside itself, then put it into its place."""
-        beside = path.with_name(path.name + ".new")
-        with open(beside, "w", encoding="utf-8") as file:
-            for line in [self.owner, *(self.rows[number] for number in sorted(self.rows))]:
-                file.write(json.dumps(line) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
+        """Write the whole file."""
+        lines = [self.owner, *(self.rows[number] for number in sorted(self.rows))]
+        write_text(path, "".join(json.dumps(line) + "\n" for line in lines))
 
 
 def _parsed(path: Path, place: int, line: bytes) -> Any:

@@ -9,6 +9,7 @@ import os
 import platform
 import time
 from collections.abc import Iterable, Mapping
+from functools import cache
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,6 +24,7 @@ TIMES = ("setup_s", "wall_s", "cpu_s")
 Row = dict[str, Any]
 
 
+@cache
 def versions() -> dict[str, str | None]:
     """Of the packages that the last bits of a result depend on; ``None`` of one that is not installed."""
     found: dict[str, str | None] = {}
@@ -34,6 +36,7 @@ def versions() -> dict[str, str | None]:
     return found
 
 
+@cache
 def source() -> str:
     """What tells versions of this library apart, installed or not: a short digest of its files."""
     digest = sha256()
@@ -46,7 +49,7 @@ def machine() -> dict[str, Any]:
     """What seconds depend on: machine, versions, threads; and the date."""
     return {"date": time.strftime("%Y-%m-%d %H:%M"), "machine": platform.machine(), "processor": _processor(),
             "system": platform.system(), "cores": os.cpu_count(), "python": platform.python_version(),
-            "versions": versions(), "source": source(), "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS")}
+            "versions": dict(versions()), "source": source(), "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS")}
 
 
 def _processor() -> str:
