@@ -69,8 +69,10 @@ def check_choice(name: str, value: Any, choices: Iterable[str]) -> None:
         raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(map(repr, choices))}.")
 
 
-def choose_engine(engine: str, pays: bool) -> str:
+def choose_engine(engine: str, pays: bool, caller: int = 4) -> str:
     """The engine that runs, ``numpy`` or ``numba``, where ``auto`` leaves the choice to whether numba ``pays``.
+
+    A warning points at the line ``caller`` frames up.
 
     Raises
     ------
@@ -85,5 +87,5 @@ def choose_engine(engine: str, pays: bool) -> str:
         raise ImportError("engine: got 'numba', which is not installed; install the extra with "
                           "pip install 'skfem-mpm[fast]', or use engine='numpy'.")
     warnings.warn("a run of this size is many times faster with numba: pip install 'skfem-mpm[fast]'.", UserWarning,
-                  stacklevel=4)
+                  stacklevel=caller)
     return "numpy"

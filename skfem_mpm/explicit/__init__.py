@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
+import inspect
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from numbers import Integral, Real
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-import numpy as np
 from skfem import Mesh
 
-from ..basis import Method, find_method
-from ..checks import ENGINES, check_array, check_choice
-from ..grid import EDGES, Edges
-from ..integration import Points, Twin, find_integration
-from ..kinematics import DOMAINS, RADII, RATES
+from ..basis import Method
+from ..grid import Edges
 from ..particles import Particles
-from .engine import make_run
+from .prepare import check_counts, check_spans, prepare
 from .run import Run
-from .state import LEDGER, Choices, ExplicitState, remaps
-from .twin import conjugate
+from .state import ExplicitState
 
-__all__ = ["ExplicitState", "explicit_steps"]
-
-INTEGRATORS = ("musl", "usl", "usf")
-REMEDIES = ("none", "bbar")
-LEAVING = ("error", "remove")
-WHOLE: Any = Integral          # of types that mypy takes for any: it does not know that these can be compared
-NUMBER: Any = Real
+__all__ = ["ExplicitState", "explicit_steps", "run_before_its_start"]
 
 
 def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
@@ -132,84 +120,34 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     >>> bool(abs(next(run).particles.velocity).max() < 1.0)
     True
     """
-    method, integration = _integration(find_method(method), integration)
-    domains = domains or ("stretched" if integration.covers else "fixed")
-    for name, value, names in [("strain", strain, RATES), ("integrator", integrator, INTEGRATORS),
-                               ("edges", edges, EDGES), ("domains", domains, DOMAINS), ("radius", radius, RADII),
-                               ("remedy", remedy, REMEDIES), ("leaving", leaving, LEAVING),
-                               ("engine", engine, ENGINES)]:
-        check_choice(name, value, names)
-    refresh = refresh if refresh is not None else 50 if remaps(integrator, tpic) else 1
-    _check_numbers({"steps": (steps, 1), "every": (every, 1), "refresh": (refresh, 1), "xpic": (xpic, 0),
-                    "threads": (threads, 1)}, {"flip": flip, "damping": damping, "safety": safety},
-                   {"dt": dt, "every_seconds": every_seconds})
-    if not isinstance(tpic, (bool, np.bool_)):
-        raise TypeError(f"tpic: got {tpic!r}, expected True or False.")
-    if not isinstance(start, (Particles, ExplicitState)):
-        raise TypeError(f"start: got a {type(start).__name__}, expected Particles or a state of an explicit run; of an "
-                        "implicit state give its particles.")
-    if not isinstance(boundary, (list, tuple, type(None))):
-        raise TypeError(f"boundary: got a {type(boundary).__name__}, expected a list of fixed planes.")
-    if remedy == "bbar" and edges == "truncate":
-        raise ValueError("remedy: got 'bbar' with edges='truncate', where nodes are missing that say how much of a "
-                         "domain is in which cell; use edges='ghost' or 'clip'.")
-    load = _load(gravity, ramp, start.particles.dim if isinstance(start, ExplicitState) else start.dim)
-    if not method.conjugate:
+    check_counts({"steps": (steps, 1), "every": (every, 1)})
+    check_spans({"every_seconds": every_seconds})
+    run = prepare(mesh, start, material, boundary, method=method, strain=strain, integrator=integrator, edges=edges,
+                  domains=domains, radius=radius, integration=integration, flip=flip, xpic=xpic, tpic=tpic,
+                  remedy=remedy, damping=damping, gravity=gravity, ramp=ramp, dt=dt, safety=safety, refresh=refresh,
+                  leaving=leaving, engine=engine, threads=threads)
+    if not run.choices.method.conjugate:
         warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow, at any time step; "
                       "with 'cmpm-c' and 'gimp' they do not.", UserWarning, stacklevel=2)
-    choices = Choices(method, strain, integrator, edges, flip, xpic, bool(tpic), damping, load, dt, safety,
-                      int(refresh), remedy, leaving, domains, radius, integration)
-    run = make_run(engine, int(threads), mesh, _start(start, boundary, int(refresh)), material, choices)
     return _yield(run, int(steps), int(every), every_seconds)
 
 
-def _integration(method: Method, integration: Any) -> tuple[Method, Any]:
-    """How stress becomes force, and the method whose bases a step then reads."""
-    found = find_integration(integration)
-    if type(found) not in (Points, Twin):
-        raise ValueError(f"integration: got {integration!r}, which is for implicit steps; expected 'points', 'twin', "
-                         "'twin2', 'dual' or a Twin, whose strain is conjugate to their forces.")
-    if method.motion is not None:
-        raise ValueError(f"method: got one that moves points by {method.motion.__name__}, which is for implicit steps; "
-                         "expected motion=None, the functions that map mass.")
-    return (conjugate(method) if found.covers else method), found
+def run_before_its_start(mesh: Mesh, start: Particles | ExplicitState, material: Any,
+                         boundary: Sequence[Any] | None = None, **choices: Any) -> Run:
+    """The run that :func:`explicit_steps` would begin with these choices, in numpy.
 
-
-def _check_numbers(counts: dict[str, tuple[Any, int]], shares: dict[str, Any], spans: dict[str, Any]) -> None:
-    """Refuse whole numbers that are too small, shares beyond 0 and 1, and spans of time that are none."""
-    for name, (count, least) in counts.items():
-        if not (isinstance(count, WHOLE) and count >= least):
-            raise ValueError(f"{name}: got {count}, expected a whole number of at least {least}.")
-    for name, number in shares.items():
-        above = ", above 0" * (name == "safety")
-        if not (isinstance(number, NUMBER) and 0 <= number <= 1 and (number > 0 or not above)):
-            raise ValueError(f"{name}: got {number!r}, expected a share from 0 to 1{above}.")
-    for name, span in spans.items():
-        if span is not None and not (isinstance(span, NUMBER) and np.isfinite(span) and span > 0):
-            raise ValueError(f"{name}: got {span!r}, expected a time span above zero, or None.")
-
-
-def _load(gravity: Any, ramp: float, dim: int) -> Callable[[float], Any]:
-    """Body force per mass over time."""
-    if not (isinstance(ramp, NUMBER) and np.isfinite(ramp) and ramp >= 0):
-        raise ValueError(f"ramp: got {ramp!r}, expected a time of zero or more.")
-    if gravity is None:
-        return lambda time: None
-    try:
-        numbers = np.asarray(gravity, dtype=float)
-    except (TypeError, ValueError):
-        raise TypeError(f"gravity: got {gravity!r}, expected {dim} number(s), the body force per mass.") from None
-    full = check_array("gravity", numbers, (dim,))
-    if not ramp:
-        return lambda time: full
-    return lambda time: full * min(time / ramp, 1.0)
-
-
-def _start(start: Particles | ExplicitState, boundary: Sequence[Any] | None, refresh: int) -> ExplicitState:
-    """The state to start from; its time step is found at once."""
-    if isinstance(start, Particles):
-        return ExplicitState(0, 0.0, 0.0, -refresh, start, tuple(boundary or ()), dict.fromkeys(LEDGER, 0.0))
-    return start if boundary is None else replace(start, boundary=tuple(boundary))
+    Raises
+    ------
+    TypeError
+        If a choice has a name that :func:`explicit_steps` does not know, or that is not one of the motion.
+    """
+    known = {name: each.default for name, each in inspect.signature(explicit_steps).parameters.items()
+             if each.kind is each.KEYWORD_ONLY and name not in ("steps", "every", "every_seconds")}
+    for name in choices:
+        if name not in known:
+            raise TypeError(f"{name}: not a choice of explicit_steps that changes a step; expected some of "
+                            f"{', '.join(known)}.")
+    return prepare(mesh, start, material, boundary, **{**known, **choices, "engine": "numpy", "threads": 1})
 
 
 def _yield(run: Run, steps: int, every: int, seconds: float | None) -> Iterator[ExplicitState]:

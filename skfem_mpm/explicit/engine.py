@@ -33,7 +33,7 @@ def make_run(engine: str, threads: int, mesh: Mesh, start: ExplicitState, materi
     if engine == "numba" and not known:
         raise ValueError("engine: got 'numba' with a basis of your own, which has no compiled stencil; use "
                          "engine='numpy'.")
-    if choose_engine(engine, known and _pays(start, choices)) == "numpy":
+    if choose_engine(engine, known and _pays(start, choices), caller=5) == "numpy":
         return Run(mesh, start, material, choices)
     from .compiled import CompiledRun  # numba is slow to import
     return CompiledRun(mesh, start, material, choices, threads)
