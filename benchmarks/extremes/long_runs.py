@@ -1,0 +1,8 @@
+"""Long runs and many crossings."""
+
+TITLE = "Long runs"
+WORDS = """
+"""
+
+
+ROWS: list = []

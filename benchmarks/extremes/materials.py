@@ -1,0 +1,8 @@
+"""Stiffness, density and strength far apart, and nearly no compression."""
+
+TITLE = "Materials"
+WORDS = """
+"""
+
+
+ROWS: list = []

@@ -1,0 +1,8 @@
+"""Units and origins: scenes that are scaled and moved."""
+
+TITLE = "Units and origins"
+WORDS = """
+"""
+
+
+ROWS: list = []
