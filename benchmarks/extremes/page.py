@@ -93,7 +93,7 @@ Each row is an extreme, each cell what was measured there.
 - 🟨 **degrades**: beyond that limit and still of use; or worse, and the run said so.
 - 🟦 **stops**: the run ended with an error that names the step, the point and the cure; the last state is kept.
 - 🟥 **wrong**: an answer of no use, given without a word. There is no such cell.
-- ⚠: the run warned. –: the question makes no sense there.
+- ⚠: the run warned of it. –: the question makes no sense there.
 
 Numbers are what the row's sentence says is measured; smaller is better.
 """

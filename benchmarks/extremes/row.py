@@ -1,6 +1,7 @@
 """A row of the stability map: one extreme, what is measured there for a method, and when that holds."""
 
 import math
+import re
 import time
 import warnings
 from collections.abc import Callable
@@ -60,13 +61,15 @@ class Row:
     holds
         Up to this number the row holds.
     useless
-        Beyond this number an answer is wrong, unless the library has warned; in between it degrades.
+        Beyond this number an answer is wrong, unless the library has warned of it; in between it degrades.
+    warns
+        Part (a pattern) of the warning that excuses a useless answer here.
     methods, remedies
         Which columns there are; remedies are of ``REMEDIES``.
     must
         Whether ``MUST`` have to hold.
     stops
-        Part of the message with which a run may stop here.
+        Part (a pattern) of the message with which a run may stop here.
     """
 
     name: str
@@ -78,6 +81,7 @@ class Row:
     remedies: tuple[str, ...] = ()
     must: bool = False
     stops: str = ""
+    warns: str = ""
 
     @property
     def cells(self):
@@ -86,7 +90,7 @@ class Row:
 
 
 def evaluate(row, method, remedy, quick):
-    """What a cell says: verdict, value, whether the library warned, the message of a stop, and the seconds taken."""
+    """What a cell says: verdict, value, what the library warned of, the message of a stop, and the seconds taken."""
     start = time.perf_counter()
     value, message = None, ""
     with warnings.catch_warnings(record=True) as heard:
@@ -95,7 +99,8 @@ def evaluate(row, method, remedy, quick):
             value = row.measure({"method": method, **REMEDIES[remedy]}, quick)
         except STOPS as stop:
             message = f"{type(stop).__name__}: {stop}"
-    warned = sorted({str(each.message) for each in heard if each.category is UserWarning})
+    warned = sorted({str(each.message) for each in heard
+                     if row.warns and each.category is UserWarning and re.search(row.warns, str(each.message))})
     return {"verdict": judge(row, value, message, warned), "value": None if value is None else float(f"{value:.2g}"),
             "message": message, "warnings": warned, "seconds": round(time.perf_counter() - start, 2)}
 
