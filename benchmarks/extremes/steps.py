@@ -12,8 +12,8 @@ from skfem_mpm.stability import critical_step, growth
 TITLE = "Time steps"
 WORDS = """
 `stability.critical_step` finds the exact limit of a frozen layout, from the eigenvalues of a whole step, and a bound
-that is sure and cheaper; runs hold to one that is cheaper still, times `safety`. The random layouts are clouds of points with
-volumes, masses and domains of their own, on graded grids, a fifth of them within 1e-10 to 1e-3 of a face.
+that is sure and cheaper; runs hold to one that is cheaper still, times `safety`. The random layouts are clouds of
+points with volumes, masses and domains of their own, on graded grids, a fifth of them within 1e-10 to 1e-3 of a face.
 """
 LAYOUTS = {1: 500, 2: 500, 3: 25}
 
