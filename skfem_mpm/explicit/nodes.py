@@ -115,21 +115,24 @@ class Nodes:
         self.light, row, count = np.unique(source, return_inverse=True, return_counts=True)
         self.share = csr_array((1 / count[row], (row, target)), shape=(len(self.light), self.grid.nnodes))
 
-    def tilted(self, amounts: ndarray) -> ndarray:
-        r"""Nodal sums :math:`\sum_p N_I a_p (x_I - x_p)` of point gradients ``(dim * dim, n)``.
+    def levers(self) -> list[csr_array]:
+        """For each axis :math:`N_I (x_I - x_p)`, ``(n, nnodes)``.
 
         The middle of a ring's mass is not that of its domain.
         """
         value, dim, shape = self.mapping.value, self.grid.dim, self.grid.vertices.shape
-        width = len(value.data) // len(self.x[0])
-        out = np.zeros((dim, self.grid.nnodes))
+        width, out = len(value.data) // len(self.x[0]), []
         for j, axis in enumerate(self.grid.axes):
             place = np.broadcast_to(axis.reshape([-1 if k == j else 1 for k in range(dim)]), shape).ravel()
             middle = value @ place if self.ring and j == 0 else self.x[j]
             lever = place[value.indices] - np.repeat(middle, width)
-            matrix = csr_array((value.data * lever, value.indices, value.indptr), shape=value.shape)
-            out += np.stack([matrix.T @ amounts[i * dim + j] for i in range(dim)])
+            out.append(csr_array((value.data * lever, value.indices, value.indptr), shape=value.shape))
         return out
+
+    def tilted(self, amounts: ndarray) -> ndarray:
+        r"""Nodal sums :math:`\sum_p N_I a_p (x_I - x_p)` of point gradients ``(dim * dim, n)``."""
+        levers, dim = self.levers(), self.grid.dim
+        return np.stack([sum(lever.T @ amounts[i * dim + j] for j, lever in enumerate(levers)) for i in range(dim)])
 
     # -- sums and velocities -----------------------------------------------------------------------------------------
 

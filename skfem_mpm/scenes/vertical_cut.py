@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from scipy.spatial import cKDTree
 from skfem import ElementHex1, ElementQuad1, ElementVector, Mesh, MeshHex, MeshQuad
 
 from ..boundary import FixedPlane
@@ -19,6 +18,7 @@ from ..implicit import implicit_steps
 from ..kinematics import plane_strain, solid
 from ..materials import LinearElastic, VonMises
 from ..particles import Particles
+from .roughness import roughness
 from .vertical_cut_reference import FAILED, CutHistory, Moment, cut_reference
 
 UNTIL = {"sudden": 0.3, "ramped": 0.8}      # onset, failure, and the toe some 40 cm out [s]
@@ -142,14 +142,7 @@ class VerticalCut:
         The rms of what is left of it after taking off its least-squares plane over the 16 nearest points, relative to
         unit weight times height.
         """
-        x, stress = state.particles.x, state.particles.stress[0, 0]
-        distance, near = cKDTree(x.T).query(x.T, k=min(16, x.shape[1]))
-        offset = (x[:, near] - x[:, :, None]) / distance.max(axis=1)[:, None]
-        basis = [np.ones(near.shape), *offset]
-        normal = np.array([[(a * b).sum(axis=1) for b in basis] for a in basis]).transpose(2, 0, 1)
-        inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)            # points may lie on a line
-        plane = sum(inverse[:, 0, i] * (a * stress[near]).sum(axis=1) for i, a in enumerate(basis))
-        return float(np.sqrt(((stress - plane) ** 2).mean()) / self.weight)
+        return roughness(state.particles, state.particles.stress[0, 0]) / self.weight
 
     def energy_balance(self, state: ExplicitState) -> float:
         """Work of gravity that no energy accounts for, as a share of that work.
