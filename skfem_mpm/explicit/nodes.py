@@ -118,18 +118,24 @@ class Nodes:
     def tilted(self, amounts: ndarray) -> ndarray:
         r"""Nodal sums :math:`\sum_p N_I a_p (x_I - x_p)` of point gradients ``(dim * dim, n)``.
 
-        The middle of a ring's mass is not that of its domain.
+        Positions are taken from the middle of the point's mass, :math:`\sum_I N_I x_I`, so that sums keep momentum: on
+        rings and where a domain is cut that is not the point.
         """
         value, dim, shape = self.mapping.value, self.grid.dim, self.grid.vertices.shape
         width = len(value.data) // len(self.x[0])
         out = np.zeros((dim, self.grid.nnodes))
         for j, axis in enumerate(self.grid.axes):
             place = np.broadcast_to(axis.reshape([-1 if k == j else 1 for k in range(dim)]), shape).ravel()
-            middle = value @ place if self.ring and j == 0 else self.x[j]
-            lever = place[value.indices] - np.repeat(middle, width)
+            lever = place[value.indices] - np.repeat(self._middle(j), width)
             matrix = csr_array((value.data * lever, value.indices, value.indptr), shape=value.shape)
             out += np.stack([matrix.T @ amounts[i * dim + j] for i in range(dim)])
         return out
+
+    def _middle(self, j: int) -> ndarray:
+        """Coordinate of the middle of the points' masses along an axis, as their functions share them."""
+        stencil, axis = self.mapping.stencil, self.grid.axes[j]
+        seen = axis[np.clip(stencil.base[j] + np.arange(stencil.w.shape[2])[:, None], 0, len(axis) - 1)]
+        return self.x[j] + (stencil.w[j, 0] * (seen - self.x[j])).sum(axis=0)
 
     # -- sums and velocities -----------------------------------------------------------------------------------------
 
