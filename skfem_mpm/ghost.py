@@ -19,10 +19,21 @@ from numpy import ndarray
 from scipy.sparse import coo_array, csc_array, kron
 from skfem import BilinearForm, Dofs, ElementHex1, ElementLineP1, ElementQuad1, InteriorFacetBasis, Mesh, asm
 from skfem.helpers import dot, grad, jump
+from skfem.mapping import MappingIsoparametric
 
 from .grid import Grid, touched_cells, wider
+from .locator import local_coordinates
 
 ELEMENTS = {1: ElementLineP1, 2: ElementQuad1, 3: ElementHex1}
+
+
+class _FromItsCell(MappingIsoparametric):
+    """A mapping inverted in coordinates from the cell's first vertex: scikit-fem's loses its digits far from 0."""
+
+    def invF(self, x: ndarray, tind: ndarray, **ignored: Any) -> ndarray:
+        """Local coordinates of ``x (dim, cells, q)`` in the cells ``tind``."""
+        cells = np.repeat(tind, x.shape[2])
+        return local_coordinates(self.mesh, cells, x.reshape(len(x), -1)).reshape(x.shape)
 
 
 @BilinearForm
@@ -107,9 +118,9 @@ def cut_cells(grid: Grid, in_play: ndarray, planes: Sequence[Any]) -> ndarray:
 def _assemble(mesh: Mesh, faces: ndarray, hoop: bool) -> coo_array:
     """The form on some faces of a mesh, for one component and a unit factor."""
     elem = ELEMENTS[mesh.dim()]()
-    dofs = Dofs(mesh, elem)
-    sides = [InteriorFacetBasis(mesh, elem, facets=faces, side=side, intorder=3, dofs=dofs, disable_doflocs=True)
-             for side in (0, 1)]
+    dofs, mapping = Dofs(mesh, elem), None if mesh.dim() == 1 else _FromItsCell(mesh, mesh.elem(), mesh.bndelem)
+    sides = [InteriorFacetBasis(mesh, elem, mapping=mapping, facets=faces, side=side, intorder=3, dofs=dofs,
+                                disable_doflocs=True) for side in (0, 1)]
     middle = mesh.p[:, mesh.t].mean(axis=1)[:, mesh.f2t[:, faces]]
     width = np.linalg.norm(middle[:, 1] - middle[:, 0], axis=0)      # from middle to middle: mean of both widths
     measure = np.asarray(sides[0].global_coordinates())[0] if hoop else np.ones((1, 1))

@@ -195,7 +195,7 @@ def test_a_continued_run_is_bit_identical(choices, engine):
 
 @pytest.mark.parametrize("engine", ["numpy", "numba"])
 @pytest.mark.parametrize("length, mass, time", [(30, 0, 0), (0, 30, 0), (0, 0, 30), (30, -30, 30), (-30, 0, 0),
-                                                (0, -30, 0), (0, 0, -30), (-30, 30, -30)])
+                                                (0, -30, 0), (0, 0, -30), (-30, 30, -30), (0, 1, 0), (5, -7, 3)])
 def test_units_scaled_by_powers_of_two_change_no_bit(length, mass, time, engine):
     body = mesh, particles, planes = block(2, plane_strain)
     along, heavy, fast = 2.0 ** length, 2.0 ** mass, 2.0 ** (length - time)

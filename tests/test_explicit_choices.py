@@ -138,6 +138,19 @@ def test_tpic_keeps_linear_and_nearly_angular_momentum(method):
     assert drift[True] < 0.2 * drift[False]
 
 
+@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@pytest.mark.parametrize("kinematics, dim", [(uniaxial, 1), (plane_strain, 2), (solid, 3)])
+def test_tpic_keeps_momentum_where_domains_are_cut_at_the_edge_of_the_grid(kinematics, dim, engine):
+    """Gradients are those about the middle of what is left of a domain, not about the point."""
+    if engine == "numba":
+        pytest.importorskip("numba")
+    mesh = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[dim](*[np.arange(4.0)] * dim)
+    body = Particles.fill(mesh, kinematics)
+    body = replace(body, x=1.5 + 1.04 * (body.x - 1.5), velocity=0.01 * np.sin(body.x[::-1] + body.x[0]))
+    state = run(mesh, body, steps=3, method="gimp", edges="clip", tpic=True, flip=0.0, engine=engine)[-1]
+    assert_allclose(state.particles.velocity @ body.mass, body.velocity @ body.mass, rtol=1e-12)
+
+
 @every_motion
 def test_tpic_runs_in_every_kinematics_and_is_stable(kinematics, dim):
     mesh, body = boxed(dim, kinematics=kinematics)

@@ -40,9 +40,10 @@ def tensor_mesh(*axes):
     return {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[len(axes)](*axes)
 
 
-def ragged(dim, kinematics, method="mpm", scale=1.0):
+def ragged(dim, kinematics, method="mpm", scale=1.0, offset=0.0):
     """A body with a bite out of a corner, on cells of several widths; mesh and support."""
-    axes = [scale * np.cumsum([1.0, *[(1.0, 0.7, 1.2)[(i + k) % 3] for i in range(7 - dim)]]) for k in range(dim)]
+    axes = [offset + scale * np.cumsum([1.0, *[(1.0, 0.7, 1.2)[(i + k) % 3] for i in range(7 - dim)]])
+            for k in range(dim)]
     mesh = tensor_mesh(*axes)
     middle = [np.median(axis) for axis in axes]
     points = Particles.fill(mesh, kinematics, where=lambda x: (
@@ -112,6 +113,12 @@ def test_it_scales_as_a_stiffness(dim, kinematics):
     one, two = (matrix_of(*ragged(dim, kinematics, scale=scale)).toarray() for scale in (1.0, 2.0))
     assert_allclose(two, 2.0 ** (dim - 2) * one, atol=1e-13 * abs(one).max())
     assert_allclose(matrix_of(*ragged(dim, kinematics), factor=3.0).toarray(), 3 * one, rtol=1e-14)
+
+
+@pytest.mark.parametrize("dim, kinematics", [(1, uniaxial), (2, plane_strain), (3, solid)])
+def test_far_from_the_origin_it_is_the_same(dim, kinematics):
+    near, far = (matrix_of(*ragged(dim, kinematics, offset=offset)).toarray() for offset in (0.0, 1e6))
+    assert_allclose(far, near, rtol=0, atol=1e-8 * abs(near).max())
 
 
 def test_a_scene_twice_as_long_or_stiff_moves_alike():

@@ -181,6 +181,14 @@ def test_far_from_the_origin_the_volumes_stay_exact():
     assert_allclose(Particles.fill(mesh, plane_strain).volume, 0.25, rtol=1e-15)
 
 
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("mesh, kinematics", BODIES, ids=names(BODIES))
+def test_units_of_powers_of_two_change_no_bit(mesh, kinematics, rule):
+    one, other = (Particles.fill(body, kinematics, rule=rule) for body in (mesh, mesh.scaled(2.0 ** 7)))
+    space = one.dim + kinematics.hoop
+    assert (one.x * 2.0 ** 7 == other.x).all() and (one.volume * 2.0 ** (7 * space) == other.volume).all()
+
+
 def test_filling_twice_gives_the_same_bits():
     first, second = (Particles.fill(distorted(HEX), solid).arrays() for _ in range(2))
     assert all((first[name] == second[name]).all() for name in first)

@@ -44,11 +44,11 @@ def stable_step(nodes: Nodes, moduli: ndarray, volume: ndarray, mass: ndarray, r
         Whether stress follows the velocities of the step's end without that.
     """
     stiffness = block_norms(nodes, moduli, volume)
-    scale = np.divide(1.0, np.sqrt(nodes.mass), out=np.zeros_like(nodes.mass), where=nodes.active)
+    scale, unit = root_scale(nodes.mass, nodes.active)
 
     def over_nodes(x: ndarray, matrix: Callable[[ndarray], ndarray]) -> ndarray:
         full = nodes.spread((scale * x)[None], signed=False)[0]
-        return scale * nodes.gather(matrix(full)[None], signed=False)[0]
+        return scale / unit * nodes.gather(matrix(full)[None], signed=False)[0]
 
     def multiply(x: ndarray) -> ndarray:
         if remaps:
@@ -57,6 +57,15 @@ def stable_step(nodes: Nodes, moduli: ndarray, volume: ndarray, mass: ndarray, r
         return over_nodes(x, lambda full: stiffness @ full)
 
     return np.sqrt(2.0 if last else 4.0) / power_bound(multiply, nodes.active)
+
+
+def root_scale(mass: ndarray, active: ndarray) -> tuple[ndarray, float]:
+    """One over the roots of active masses, and the power of two, no less than the largest, that these are measured in.
+
+    The root of an odd power of two rounds: with masses in units of their own size, those of the user change no bit.
+    """
+    unit = float(np.ldexp(1.0, np.frexp(mass.max())[1]))
+    return np.divide(1.0, np.sqrt(mass / unit), out=np.zeros_like(mass), where=active), unit
 
 
 def block_norms(nodes: Nodes, moduli: ndarray, volume: ndarray) -> dia_array:

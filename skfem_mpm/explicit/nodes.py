@@ -116,16 +116,16 @@ class Nodes:
         self.share = csr_array((1 / count[row], (row, target)), shape=(len(self.light), self.grid.nnodes))
 
     def levers(self) -> list[csr_array]:
-        """For each axis :math:`N_I (x_I - x_p)`, ``(n, nnodes)``.
+        r"""For each axis :math:`N_I (x_I - x_p)`, ``(n, nnodes)``.
 
-        The middle of a ring's mass is not that of its domain.
+        Positions are taken from the middle of the point's mass, :math:`\sum_I N_I x_I`, so that sums keep momentum: on
+        rings and where a domain is cut that is not the point.
         """
         value, dim, shape = self.mapping.value, self.grid.dim, self.grid.vertices.shape
         width, out = len(value.data) // len(self.x[0]), []
         for j, axis in enumerate(self.grid.axes):
             place = np.broadcast_to(axis.reshape([-1 if k == j else 1 for k in range(dim)]), shape).ravel()
-            middle = value @ place if self.ring and j == 0 else self.x[j]
-            lever = place[value.indices] - np.repeat(middle, width)
+            lever = place[value.indices] - np.repeat(self._middle(j), width)
             out.append(csr_array((value.data * lever, value.indices, value.indptr), shape=value.shape))
         return out
 
@@ -133,6 +133,12 @@ class Nodes:
         r"""Nodal sums :math:`\sum_p N_I a_p (x_I - x_p)` of point gradients ``(dim * dim, n)``."""
         levers, dim = self.levers(), self.grid.dim
         return np.stack([sum(lever.T @ amounts[i * dim + j] for j, lever in enumerate(levers)) for i in range(dim)])
+
+    def _middle(self, j: int) -> ndarray:
+        """Coordinate of the middle of the points' masses along an axis, as their functions share them."""
+        stencil, axis = self.mapping.stencil, self.grid.axes[j]
+        seen = axis[np.clip(stencil.base[j] + np.arange(stencil.w.shape[2])[:, None], 0, len(axis) - 1)]
+        return self.x[j] + (stencil.w[j, 0] * (seen - self.x[j])).sum(axis=0)
 
     # -- sums and velocities -----------------------------------------------------------------------------------------
 

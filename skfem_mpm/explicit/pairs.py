@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray
 
 from ..kernels import bound
-from .bound import power_bound
+from .bound import power_bound, root_scale
 from .fields import REACH, Fields
 from .sums import Sums
 from .tables import Table
@@ -45,12 +45,12 @@ def stable_step(sums: Sums, law: Any, volume: ndarray, mass: ndarray, remaps: bo
     stiffness = _of_fields(sums, law, fields, rows) if fields else _stiffness(sums, law, volume, rows)
     inertia = _inertia(sums, mass, rows) if remaps else None
     active = sums.active.astype(bool)
-    scale = np.divide(1.0, np.sqrt(sums.mass[:, 0]), out=np.zeros(len(active)), where=active)
+    scale, unit = root_scale(sums.mass[:, 0], active)
 
     def multiply(x: ndarray) -> ndarray:
         if inertia:
-            x = scale * inertia.times(scale * x)
-        return scale * stiffness.times(scale * x)
+            x = scale / unit * inertia.times(scale * x)
+        return scale / unit * stiffness.times(scale * x)
 
     return np.sqrt(2.0 if last else 4.0) / power_bound(multiply, active)
 

@@ -35,7 +35,8 @@ def shares_of(grid: Grid, stencil: Stencil) -> csr_array:
     cells = [np.clip(stencil.base[k] + np.arange(stencil.w.shape[2] - 1)[:, None], 0, size - 1)
              for k, size in enumerate(shape)]
     # Along an axis the table holds means of hat functions over the domain: slopes are differences of share / width.
-    share = [-np.cumsum(stencil.w[k, 1, :-1], axis=0) * grid.steps[k][cells[k]] for k in range(grid.dim)]
+    # Rounding must leave no share below zero: means would no longer be between what they are means of.
+    share = [np.maximum(-np.cumsum(stencil.w[k, 1, :-1], axis=0), 0) * grid.steps[k][cells[k]] for k in range(grid.dim)]
     cell, part = cells[0].T, share[0].T
     for k in range(1, grid.dim):
         cell = (cell[:, :, None] * shape[k] + cells[k].T[:, None]).reshape(len(cell), -1)
@@ -62,7 +63,7 @@ class Means:
     def of_cells(self, values: ndarray) -> ndarray:
         """Mean of ``values (n,)`` in each cell, ``(cells,)``; zero where there are no points."""
         sums = self.shares.T @ (self.volume * values)
-        return np.divide(sums, self.held, out=sums, where=self.held > 0)
+        return np.divide(sums, self.held, out=np.zeros_like(sums), where=self.held > 0)
 
     def lack(self, values: ndarray) -> ndarray:
         """What ``values (n,)`` lack of their means, :math:`(A - 1) v`."""

@@ -19,7 +19,7 @@ def _shares(base, w, knots, kt, p, share):
         for j in range(len(kt) - 1):
             total -= w[p, k, 1, j]
             cell = base[p, k] + j
-            share[k, j] = total * (knots[k, cell + 2] - knots[k, cell + 1])
+            share[k, j] = max(total, 0.0) * (knots[k, cell + 2] - knots[k, cell + 1])
 
 
 @njit(**INLINE)

@@ -81,11 +81,9 @@ def plain(w):
 
 
 @njit(**INLINE)
-def centre(base, w, knots, x, kt, p):
-    """First coordinate of the middle of a point's mass: that of the point, but for rings."""
-    if w.shape[2] == 2:
-        return x[0, p]
-    total = 0.0
+def centre(base, w, knots, x, kt, p, k):
+    """Coordinate of the middle of a point's mass along axis ``k``: not its own on rings, nor where a domain is cut."""
+    shift = 0.0
     for a in range(len(kt)):
-        total += w[p, 0, 0, a] * knots[0, base[p, 0] + a + 1]
-    return total
+        shift += w[p, k, 0, a] * (knots[k, base[p, k] + a + 1] - x[k, p])
+    return x[k, p] + shift

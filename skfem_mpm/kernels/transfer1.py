@@ -78,7 +78,7 @@ def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
         g = opened(out, copies, c, low, high, start, end)
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
-            size, node, middle = m[p] * slope[0, p], U(base[p, 0] - frame[0, 0]), centre(base, w, knots, x, kt, p)
+            size, node, middle = m[p] * slope[0, p], U(base[p, 0] - frame[0, 0]), centre(base, w, knots, x, kt, p, 0)
             for a in range(len(kt)):
                 g[node + U(a), 0] += w[p, 0, 0, U(a)] * size * (knots[0, base[p, 0] + a + 1] - middle)
         start, end = closed(out, copies, low, high, start, end)

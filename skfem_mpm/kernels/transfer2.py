@@ -130,11 +130,12 @@ def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
         for q in range(cut(n, c), cut(n, c + 1)):
             p, mass = U(q), m[q]
             xx, xy, yx, yy = mass * slope[0, p], mass * slope[1, p], mass * slope[2, p], mass * slope[3, p]
-            node, middle = U(_node(base, row, origin, p)), centre(base, w, knots, x, kt, p)
+            node = U(_node(base, row, origin, p))
+            cx, cy = centre(base, w, knots, x, kt, p, 0), centre(base, w, knots, x, kt, p, 1)
             for a in range(len(kt)):
-                wx, rx = w[p, 0, 0, U(a)], knots[0, base[p, 0] + a + 1] - middle
+                wx, rx = w[p, 0, 0, U(a)], knots[0, base[p, 0] + a + 1] - cx
                 for b in range(len(kt)):
-                    i, value, ry = node + U(b), wx * w[p, 1, 0, U(b)], knots[1, base[p, 1] + b + 1] - x[1, p]
+                    i, value, ry = node + U(b), wx * w[p, 1, 0, U(b)], knots[1, base[p, 1] + b + 1] - cy
                     g[i, 0] += value * (xx * rx + xy * ry)
                     g[i, 1] += value * (yx * rx + yy * ry)
                 node += stride

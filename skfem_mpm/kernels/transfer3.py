@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from .chunks import band, closed, cut, finish, measure, opened
+from .domains import centre
 from .options import INLINE, OPTIONS, TILE
 
 U = np.uint64
@@ -129,12 +130,14 @@ def p2g_tilt(base, w, m, slope, x, knots, frame, out, copies, rows, kt, c0, c1):
         for q in range(cut(n, c), cut(n, c + 1)):
             p = U(q)
             first = U(_node(base, frame, p))
+            cx, cy = centre(base, w, knots, x, kt, p, 0), centre(base, w, knots, x, kt, p, 1)
+            cz = centre(base, w, knots, x, kt, p, 2)
             for a in range(len(kt)):
-                node, rx = first, knots[0, base[p, 0] + a + 1] - x[0, p]
+                node, rx = first, knots[0, base[p, 0] + a + 1] - cx
                 for b in range(len(kt)):
-                    value, ry = m[p] * w[p, 0, 0, U(a)] * w[p, 1, 0, U(b)], knots[1, base[p, 1] + b + 1] - x[1, p]
+                    value, ry = m[p] * w[p, 0, 0, U(a)] * w[p, 1, 0, U(b)], knots[1, base[p, 1] + b + 1] - cy
                     for d in range(len(kt)):
-                        i, size, rz = node + U(d), value * w[p, 2, 0, U(d)], knots[2, base[p, 2] + d + 1] - x[2, p]
+                        i, size, rz = node + U(d), value * w[p, 2, 0, U(d)], knots[2, base[p, 2] + d + 1] - cz
                         g[i, 0] += size * (slope[0, p] * rx + slope[1, p] * ry + slope[2, p] * rz)
                         g[i, 1] += size * (slope[3, p] * rx + slope[4, p] * ry + slope[5, p] * rz)
                         g[i, 2] += size * (slope[6, p] * rx + slope[7, p] * ry + slope[8, p] * rz)
