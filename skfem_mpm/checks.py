@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
 ENGINES = ("auto", "numpy", "numba")
+STRICT = {
+    "finite": "nothing sensible follows from numbers that are not finite",
+    "positive": "a point that is turned inside out has no volume to go on with",
+    "inside": "a point without a cell has nothing to move with; in explicit runs leaving='remove' goes on without it",
+}
 
 
 class OutsideGridError(ValueError):
@@ -67,6 +72,43 @@ def check_choice(name: str, value: Any, choices: Iterable[str]) -> None:
     choices = tuple(choices)
     if value not in choices:
         raise ValueError(f"{name}: got {value!r}, expected one of {', '.join(map(repr, choices))}.")
+
+
+def check_guards(guards: Any, known: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
+    """What each guard does, by name: what is asked for, or else the first thing that it can do.
+
+    Parameters
+    ----------
+    guards
+        A mapping from names to ``stop``, ``warn`` or ``off``, or ``None``.
+    known
+        What each guard can do.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is no mapping, a name is unknown or one of those that always hold, or all of them are off.
+    """
+    if not isinstance(guards, (Mapping, type(None))):
+        raise TypeError(f"guards: got a {type(guards).__name__}, expected a mapping such as {{'energy': 'off'}}.")
+    for name, what in (guards or {}).items():
+        if name in STRICT:
+            raise ValueError(f"guards: got {name!r}, which always holds: {STRICT[name]}.")
+        check_choice("guards", name, known)
+        check_choice(f"guards[{name!r}]", what, known[name])
+    held = {name: (guards or {}).get(name, can[0]) for name, can in known.items()}
+    if set(held.values()) == {"off"}:
+        raise ValueError("guards: got all of them 'off', expected at least one that holds; relax only what is known to "
+                         "be wrong here.")
+    return held
+
+
+def warn_of_relaxed(guards: Mapping[str, str], caller: int = 3) -> None:
+    """Say once which guards are off; a warning points at the line ``caller`` frames up."""
+    off = [repr(name) for name, what in guards.items() if what == "off"]
+    if off:
+        warnings.warn(f"guards: {', '.join(off)} off; what this would have stopped goes on without a word.",
+                      UserWarning, stacklevel=caller)
 
 
 def choose_engine(engine: str, pays: bool, caller: int = 4) -> str:

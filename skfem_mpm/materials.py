@@ -4,7 +4,7 @@
 law remembers of the past is its history, ``(k, n)``, one row for each name in ``Law.history``.
 
 A law has ``kirchhoff``, ``history``, ``update`` and ``tangent`` (:func:`numerical_tangent` can stand in for it); it may
-have ``elastic_strain``, ``energy_density`` and ``dissipation``.  ``docs/how-to.md`` says who asks for them.
+have ``elastic_strain``, ``energy_density``, ``dissipation`` and ``excess``.  ``docs/how-to.md`` says who asks for them.
 """
 
 from __future__ import annotations
@@ -334,6 +334,18 @@ class VonMises(LinearElastic):
         slip = after[0] - before[0]
         mean = (self._cohesion(before[0]) + self._cohesion(after[0])) / 2
         return np.sqrt(3) * np.where(slip > 0, mean, 0.0) * slip        # a cohesion without bound times no slip is none
+
+    def excess(self, stress: ndarray, history: ndarray) -> ndarray:
+        r"""How far stress is beyond yield as a share of the strength, :math:`\sqrt{J_2} / c - 1`, ``(n,)``.
+
+        Not above zero but for rounding after a return; runs watch it.
+
+        >>> law = VonMises(E=1.0, nu=0.0, peak=0.5, residual=0.5)
+        >>> law.excess(np.array([[0.0], [0.0], [0.0], [1.0]]), np.zeros((1, 1))).round(12).tolist()
+        [1.0]
+        """
+        _, q = self._mean_and_size(stress, PLANE if len(stress) == 4 else SPACE)
+        return q / (np.sqrt(3) * self._cohesion(history[0])) - 1
 
     @staticmethod
     def _mean_and_size(stress: ndarray, components: Places) -> tuple[ndarray, ndarray]:

@@ -189,7 +189,7 @@ def test_a_block_grows_at_the_rate_of_its_eigenvalues_whatever_the_time_step(met
 @pytest.mark.parametrize("method", ["cmpm", "fe-gimp"])
 def test_energy_grows_until_the_run_is_stopped(method, safety):
     time, energy = ringing(2, 6, method, steps=600, every=10, safety=safety)
-    assert time[-1] < 100 and energy[-1] > 5
+    assert time[-1] < 100 and energy[-1] > 2                # the last that is yielded; ten steps later it is tenfold
 
 
 @symmetric_methods

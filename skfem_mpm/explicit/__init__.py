@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import inspect
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from skfem import Mesh
 
 from ..basis import Method
+from ..checks import warn_of_relaxed
 from ..grid import Edges
 from ..particles import Particles
 from .prepare import check_counts, check_spans, prepare
@@ -26,7 +27,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
                    radius: str = "point", integration: Any = "points", flip: float = 1.0, xpic: int = 0,
                    tpic: bool = False, remedy: str = "none", damping: float = 0.0, gravity: Any = None,
                    ramp: float = 0.0, dt: float | None = None, safety: float = 0.5, refresh: int | None = None,
-                   leaving: str = "error", engine: str = "auto", threads: int = 1) -> Iterator[ExplicitState]:
+                   leaving: str = "error", engine: str = "auto", threads: int = 1,
+                   guards: Mapping[str, str] | None = None) -> Iterator[ExplicitState]:
     """Move a body in time; yields an :class:`ExplicitState` every ``every`` steps and after the last one.
 
     Parameters
@@ -90,6 +92,12 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
         to pay and it is installed.  A state says which one made it, and a run that goes on keeps it.
     threads
         Threads of the numba engine; results do not depend on it.
+    guards
+        What to do where a limit is passed, by name: ``stop``, ``warn`` (once) or ``off``.  They are ``step`` (a given
+        ``dt`` above the step that is surely stable; it warns if nothing is said, the others stop), ``moved`` (a point
+        moves further than a cell in one step), ``energy`` (elastic energy and motion about the centre of mass exceed
+        tenfold what was there for them; twice as much warns) and ``yield`` (stress beyond the yield surface of a law
+        that offers ``excess``, by more than 1e-6 of its strength).  Not all may be off.
 
     Raises
     ------
@@ -98,14 +106,14 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     OutsideGridError
         If a point or a domain leaves the grid, and ``leaving`` is ``error``.
     UnstableError
-        If a velocity or a stress is no longer finite, a point turns inside out or moves further than a cell in one
-        step, or the body has ten times the energy it was given; ``.state`` is the last one that was yielded.
+        If a number is no longer finite, a point turns inside out, or one of the ``guards`` stops the run; the message
+        names step, point, value, limit and the likely cure, ``.state`` is the last one that was yielded.
 
     Warns
     -----
     UserWarning
-        Once, if the method's strain is not conjugate to its forces (elastic waves then grow), or if the given
-        time step is above the stable one.
+        Once each, if the method's strain is not conjugate to its forces (elastic waves then grow), the given time step
+        is above the stable one, the body has twice the energy that was there for it, or a guard is off.
 
     Examples
     --------
@@ -125,7 +133,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     run = prepare(mesh, start, material, boundary, method=method, strain=strain, integrator=integrator, edges=edges,
                   domains=domains, radius=radius, integration=integration, flip=flip, xpic=xpic, tpic=tpic,
                   remedy=remedy, damping=damping, gravity=gravity, ramp=ramp, dt=dt, safety=safety, refresh=refresh,
-                  leaving=leaving, engine=engine, threads=threads)
+                  leaving=leaving, engine=engine, threads=threads, guards=guards)
+    warn_of_relaxed(run.choices.guards)
     if not run.choices.method.conjugate:
         warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow, at any time step; "
                       "with 'cmpm-c' and 'gimp' they do not.", UserWarning, stacklevel=2)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,11 +13,12 @@ from numpy import ndarray
 from skfem import Mesh
 
 from ..basis import ParticleBasis
-from ..kernels import chunks, dilation, domains
+from ..kernels import chunks, dilation, domains, energy
 from ..kernels.crew import Crew
 from ..kernels.options import TILE
 from ..materials import LinearElastic, VonMises
 from .fields import Fields
+from .guards import YIELD
 from .pairs import stable_step
 from .run import POINT_ARRAYS, Run
 from .state import Choices, ExplicitState, remaps
@@ -31,6 +34,7 @@ class CompiledRun(Run):
     """A body in motion; points are kept in the order of cells, snapshots are in the user's."""
 
     engine = "numba"
+    law = "python"                      # which kernel the law has, if any
 
     def __init__(self, mesh: Mesh, start: ExplicitState, material: Any, choices: Choices, threads: int = 1):
         super().__init__(mesh, start, material, choices)
@@ -83,6 +87,7 @@ class CompiledRun(Run):
         self.sums = Sums(self.tables, self.crew)
         if self.covers:
             self.fields = Fields(self.sums, self.kinematics, self.choices.integration)
+        self.tables.widths = self.farthest
         self.tables.measure(self.x, self.velocity)
 
     def _sort(self) -> None:
@@ -144,26 +149,23 @@ class CompiledRun(Run):
             self.work["external"] += float(gravity @ tables.work * self.dt)
         if found & FATAL:
             self._fail()
+            tables.widths = self.farthest
+            found = tables.survey()
         self.x, self.ahead = self.ahead, self.x
         ghost = self.choices.edges == "ghost" and self.choices.method.mass.reads_domains
         if found & chunks.OUTSIDE or (ghost and tables.near_the_edge):
             self._leave()
 
     def _fail(self) -> None:
-        """Say what is wrong with which point: the first one in the user's order, in the order of a step's parts."""
-        self._in_users_order()
-        parts = [lambda: self._check_finite("velocity"), self._check_stress]
-        for part in parts[::-1] if self.choices.integrator == "usf" else parts:
+        """Say what is wrong with which point, in the order of a step's parts; comes back if it is no reason to stop."""
+        parts: list[Callable[[], None]] = [partial(self._check_finite, "velocity"),
+                                           partial(self._check_volume, self.volume), self._check_stress]
+        for part in parts[1:] + parts[:1] if self.choices.integrator == "usf" else parts:
             part()
-        self._check_moved(self.ahead - self.x)
-        self._stop("has a sigma that is too large to go on with", int(np.abs(self.sigma).max(axis=0).argmax()))
-
-    def _check_stress(self) -> None:
-        """Stop a run in which a point has turned inside out or has a stress that is no longer finite."""
-        inverted = ~(self.volume > 0)
-        if inverted.any():
-            self._stop("turned inside out", int(np.flatnonzero(inverted)[0]))
-        self._check_finite("sigma")
+        if not self._check_moved(self.ahead - self.x):
+            size = np.abs(self.sigma).max(axis=0)
+            point = self._first(size == size.max())
+            self._stop(point, f"has a sigma that is too large to go on with: {size[point]:.3g}")
 
     def _leave(self) -> None:
         """Stop at points that leave the grid, or go on without them."""
@@ -305,7 +307,6 @@ class CompiledRun(Run):
     def _choose_law(self) -> None:
         """Which kernel the law has, if any; other laws run as they are."""
         law, small = self.material, self.choices.strain == "small"
-        self.law = "python"
         self.constants: tuple[float, ...] = ()
         if small and type(law) is LinearElastic:
             self.law, self.constants = "elastic", (law.lam, 2 * law.G)
@@ -337,6 +338,8 @@ class CompiledRun(Run):
         if self.smooth:
             grad[self.diagonal] += self._excess(grad[self.diagonal])
         if self.law == "python":
+            if self.choices.integrator != "usf":
+                self._check_finite("velocity")
             return self._respond(grad[:len(self.kinematics.rows(self.dim))])
         if self.stretches:
             self._stretch(grad)
@@ -347,7 +350,27 @@ class CompiledRun(Run):
         self.crew(domains.stretch, gradient, self.length)
         self.tables.measure_domains(self.length)
 
+    # -- guards ------------------------------------------------------------------------------------------------------
+
+    def _inner(self, mean: ndarray) -> float:
+        """Elastic energy and motion about a mean velocity."""
+        if self.law == "python":
+            return super()._inner(mean)
+        law = self.material
+        return energy.inner(self.mass, self.velocity, mean, self.sigma, self.volume, law.lam, law.G)
+
+    def _excess_of_yield(self) -> ndarray | None:
+        """How far stress is beyond yield; nothing if all points are within."""
+        if self.law == "von_mises" and not energy.beyond_yield(self.sigma, self.history, self.constants, YIELD):
+            return None
+        return super()._excess_of_yield()
+
     # -- snapshots ---------------------------------------------------------------------------------------------------
+
+    def _first(self, mask: ndarray) -> int:
+        """Where the first of some points is kept, the first in the user's order."""
+        found = np.flatnonzero(mask)
+        return int(found[self.order[found].argmin()])
 
     def _number(self, point: int) -> int:
         """What the user calls a point: its number at the start."""

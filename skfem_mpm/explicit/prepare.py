@@ -11,14 +11,14 @@ import numpy as np
 from skfem import Mesh
 
 from ..basis import Method, find_method
-from ..checks import ENGINES, check_array, check_choice
+from ..checks import ENGINES, check_array, check_choice, check_guards
 from ..grid import EDGES, Edges
 from ..integration import Points, Twin, find_integration
 from ..kinematics import DOMAINS, RADII, RATES
 from ..particles import Particles
 from .engine import make_run
 from .run import Run
-from .state import LEDGER, Choices, ExplicitState, remaps
+from .state import GUARDS, LEDGER, Choices, ExplicitState, remaps
 from .twin import conjugate
 
 INTEGRATORS = ("musl", "usl", "usf")
@@ -32,7 +32,7 @@ def prepare(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundar
             method: str | Method, strain: str, integrator: str, edges: Edges, domains: str | None, radius: str,
             integration: Any, flip: float, xpic: int, tpic: bool, remedy: str, damping: float, gravity: Any,
             ramp: float, dt: float | None, safety: float, refresh: int | None, leaving: str, engine: str,
-            threads: int) -> Run:
+            threads: int, guards: Any) -> Run:
     """A run that has not begun; arguments and what is raised are those of :func:`skfem_mpm.explicit_steps`."""
     method, integration = _integration(find_method(method), integration)
     domains = domains or ("stretched" if integration.covers else "fixed")
@@ -57,7 +57,7 @@ def prepare(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundar
                          "domain is in which cell; use edges='ghost' or 'clip'.")
     load = _load(gravity, ramp, start.particles.dim if isinstance(start, ExplicitState) else start.dim)
     choices = Choices(method, strain, integrator, edges, flip, xpic, bool(tpic), damping, load, dt, safety,
-                      int(refresh), remedy, leaving, domains, radius, integration)
+                      int(refresh), remedy, leaving, domains, radius, integration, check_guards(guards, GUARDS))
     return make_run(engine, int(threads), mesh, _start(start, boundary, int(refresh)), material, choices)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -10,21 +9,22 @@ import numpy as np
 from numpy import ndarray
 from skfem import Mesh
 
-from ..checks import OutsideGridError, UnstableError, check_positive
+from ..checks import OutsideGridError, check_positive
 from ..grid import Grid
 from ..kinematics import RATES, check_law, stretched
 from .bound import stable_step
 from .boxes import Boxes
 from .dilation import CellMeans
+from .guards import LOOK_EVERY, Guarded
 from .nodes import Nodes
 from .state import LEDGER, Choices, ExplicitState, remaps
 from .twin import TwinNodes
 
+STORED = ("kinetic", "elastic")
 POINT_ARRAYS = ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope")
-RUNAWAY = 10.0     # a body with so many times the energy it was given is unstable
 
 
-class Run:
+class Run(Guarded):
     """A body in motion; :meth:`advance` takes one time step, :meth:`snapshot` freezes the state."""
 
     engine = "numpy"
@@ -38,9 +38,12 @@ class Run:
         self._check(start)
         self.planes, self.last = start.boundary, start
         self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
+        self.doing = start.step + 1
         self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
         self.kept = start.kept
         self.warned = start.dt == choices.dt               # a run that goes on has been told
+        limited = choices.guards["moved"] != "off"
+        self.farthest = np.array([step.min() if limited else np.inf for step in self.grid.steps])
         method = choices.method
         bases = (method.mass, method.strain, method.force)
         reads_domains = self.covers or any(basis.reads_domains for basis in bases)
@@ -62,12 +65,19 @@ class Run:
         motion.respond(np.zeros((len(self.symmetric), n)))              # a law that does not fit says so now
         if finite:
             self.epsilon = motion.start.copy()                          # stress given without strain stands for one
-        given = np.nansum(list(self._stored().values())) - sum(start.energy.get(k, 0.0) for k in ("kinetic", "elastic"))
-        if given:                                          # at the start, or by hand since the last snapshot
-            self.work["start"] += float(np.nan_to_num(given))
-        self.rests_on = material, start.boundary, replace(choices, load=None)
+        self._count_given(start)
+        self.rests_on = material, start.boundary, replace(choices, load=None, guards={})
         if start.rests_on != self.rests_on:
             self.refreshed = self.step - choices.refresh   # what the step was found for has changed
+
+    def _count_given(self, start: ExplicitState) -> None:
+        """Note energy that is new: at the start, or by hand since the last snapshot."""
+        given = np.nansum(list(self._stored().values())) - np.nansum([start.energy.get(name, 0.0) for name in STORED])
+        if given:
+            self.work["start"] += float(given)
+            self.work["peak"] = max(self.work["peak"], self._balance()[0])
+        if not start.step and self.sigma.any() and not hasattr(self.material, "energy_density"):
+            self.work["peak"] = np.nan                     # nobody knows what this stress has stored
 
     def _check(self, start: ExplicitState) -> None:
         """Refuse what does not fit together."""
@@ -93,10 +103,13 @@ class Run:
 
     def advance(self) -> None:
         """Take one time step."""
+        self.doing = self.step + 1
         with np.errstate(invalid="ignore", over="ignore"):
+            self._check_start()
             self._advance()
-        self.step, self.time = self.step + 1, self.time + self.dt
-        self.work["peak"] = max(self.work["peak"], abs(self.work["external"]))
+            if self.doing % LOOK_EVERY == 0:
+                self._watch()
+        self.step, self.time = self.doing, self.time + self.dt
 
     def _advance(self) -> None:
         choices = self.choices
@@ -193,17 +206,16 @@ class Run:
     def _respond(self, gradient: ndarray) -> None:
         """Stress, volume and history after the displacement gradient of a step."""
         motion = self._motion()
-        ratio = motion.stretch(gradient)
-        if not (ratio > 0).all():
-            self._stop("turned inside out", int(np.flatnonzero(~(ratio > 0))[0]))
+        volume = self.volume * motion.stretch(gradient)
+        self._check_volume(volume)
         response = motion.respond(gradient)
-        self.volume = self.volume * ratio
+        self.volume = volume
         if self.stretches:
             self._stretch(gradient)
         if self.material.history:
             self.work["plastic"] += self._dissipated(response.history)
         self.sigma, self.epsilon, self.history = response.sigma, response.epsilon, response.history
-        self._check_finite("sigma")
+        self._check_stress()
 
     def _stretch(self, gradient: ndarray) -> None:
         """Domains after the displacement gradient of a step."""
@@ -229,40 +241,18 @@ class Run:
 
     def _take_step(self, stable: float) -> None:
         """Choose the time step, knowing the stable one."""
-        self._check_energy()
         self.refreshed = self.step
-        if self.choices.dt is None and not 0 < stable < np.inf:
-            raise ValueError(f"dt: found a stable step of {stable}, which is none: the law has no stiffness, or units "
-                             "are beyond what numbers hold; give dt.")
-        if self.choices.dt is None:
-            self.dt = float(self.choices.safety * stable)
-            return
-        if self.choices.dt > stable and not self.warned:
-            self.warned = True
-            warnings.warn(f"dt: got {self.choices.dt:g}, above the step {stable:g} that is surely stable here; the run "
-                          "may become unstable.", UserWarning, stacklevel=2)
-        self.dt = float(self.choices.dt)
+        dt = self.choices.dt
+        if not stable > 0 or (dt is None and stable == np.inf):
+            self._check_volume(self.volume)
+            self._check_stress()
+            raise ValueError(f"dt: found a stable step of {stable}, which is none: the tangent of the law has no "
+                             "stiffness or is not finite, or units are beyond what numbers hold; look at the tangent, "
+                             "or give dt.")
+        self._check_step(stable)
+        self.dt = float(self.choices.safety * stable if dt is None else dt)
 
-    # -- guards ------------------------------------------------------------------------------------------------------
-
-    def _check_finite(self, name: str) -> None:
-        """Stop a run in which the velocity or the stress (``sigma``) of a point is no longer finite."""
-        finite = np.isfinite(getattr(self, name))
-        if not finite.all():
-            self._stop(f"has a {name} that is no longer finite", int(np.flatnonzero(~finite.all(axis=0))[0]))
-
-    def _check_moved(self, moved: ndarray) -> None:
-        """Stop a run in which a point moves further than a cell in one step."""
-        far = np.abs(moved) > [[step.min()] for step in self.grid.steps]
-        if far.any():
-            self._stop("moves more than a cell in one step", int(np.flatnonzero(far.any(axis=0))[0]))
-
-    def _check_energy(self) -> None:
-        """Stop a run in which the body has far more energy than it was ever given."""
-        energy = np.nansum(list(self._stored().values()))        # of what the law says
-        if energy > RUNAWAY * (self.work["start"] + self.work["peak"]):
-            fastest = int((self.velocity ** 2).sum(axis=0).argmax())
-            self._stop(f"is the fastest of a body with more than {RUNAWAY:g} times the energy it was given", fastest)
+    # -- points that leave -------------------------------------------------------------------------------------------
 
     def _leave(self) -> None:
         """Stop at points that leave the grid, or go on without them."""
@@ -271,7 +261,7 @@ class Run:
         if not outside.any():
             return
         if outside.all() and self.choices.leaving == "remove":
-            raise OutsideGridError(f"step {self.step + 1}: the whole body has left the grid {self.grid.extent}; use a "
+            raise OutsideGridError(f"step {self.doing}: the whole body has left the grid {self.grid.extent}; use a "
                                    "larger mesh, or fewer steps.")
         if self.choices.leaving == "error":
             raise OutsideGridError(f"{self._whereabouts(int(np.flatnonzero(outside)[0]))} leaves the grid "
@@ -290,32 +280,17 @@ class Run:
                 setattr(self, name, array[..., mask])
         self.work["removed"] += before - sum(self._stored().values())
 
-    def _number(self, point: int) -> int:
-        """What the user calls a point: its number at the start."""
-        return point if self.kept is None else int(self.kept[point])
-
-    def _whereabouts(self, point: int) -> str:
-        place = ", ".join(f"{value:g}" for value in self.x[:, point])
-        return f"step {self.step + 1}: point {self._number(point)} at ({place})"
-
-    def _stop(self, what: str, point: int) -> None:
-        cure = f"A shorter time step (it was {self.dt:g}) is the likely cure."
-        if not self.choices.method.conjugate:
-            cure = "Elastic waves grow with this method at any time step; 'cmpm-c' and 'gimp' are the likely cure."
-        raise UnstableError(f"{self._whereabouts(point)} {what}; the last good state is in .state.  {cure}", self.last)
-
     # -- snapshots ---------------------------------------------------------------------------------------------------
 
     def _stored(self) -> dict[str, float]:
         """Energy in motion and in elastic strain; the latter is not a number if the law does not say."""
         kinetic = float((self.mass * (self.velocity ** 2).sum(axis=0)).sum() / 2)
-        if not hasattr(self.material, "energy_density"):
-            return {"kinetic": kinetic, "elastic": np.nan}
-        density = self.material.energy_density(self.sigma, self.epsilon, self.kinematics.components)
-        return {"kinetic": kinetic, "elastic": float(density @ self.volume)}
+        return {"kinetic": kinetic, "elastic": self._elastic()}
 
     def snapshot(self) -> ExplicitState:
         """The state now, frozen."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            self._check_snapshot()
         particles = replace(self.particles, x=self.x, volume=self.volume, velocity=self.velocity, sigma=self.sigma,
                             epsilon=self.epsilon,
                             history=self.history if self.material.history else None,

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import Any
 
 from numpy import ndarray
 
 from ..basis import Method
+from ..checks import check_guards
 from ..grid import Edges
 from ..integration import Points
 from ..particles import Particles
 
+# What each guard of a run can do, first what it does if nothing is said.
+GUARDS = {"step": ("warn", "stop", "off"), "moved": ("stop", "warn", "off"), "energy": ("stop", "warn", "off"),
+          "yield": ("stop", "warn", "off")}
 LEDGER = ("start", "peak", "external", "plastic", "damped", "removed")
 
 
@@ -35,8 +39,9 @@ class ExplicitState:
         What holds them.
     energy
         ``kinetic`` and ``elastic`` now; their sum at the ``start``; work since then, ``external``, ``plastic`` and
-        ``damped``; what points took along that left the mesh, ``removed``; the largest size of the external work so
-        far, ``peak``.
+        ``damped``; what points took along that left the mesh, ``removed``; and ``peak``, the most that was ever there
+        to become elastic energy and motion about the centre of mass: what was given less what is in the motion of the
+        centre of mass (as of the guards' last look; not a number if nothing is known of it).
     engine
         What computed it, ``numpy`` or ``numba``.
     order
@@ -70,7 +75,7 @@ class ExplicitState:
 
     def __reduce__(self) -> tuple:
         # A mapping proxy cannot be pickled, and unpickled arrays are writable unless they go through __post_init__.
-        held = {field.name: getattr(self, field.name) for field in fields(self)}
+        held = {each.name: getattr(self, each.name) for each in fields(self)}
         return type(self), tuple({**held, "energy": dict(self.energy)}.values())
 
 
@@ -95,6 +100,7 @@ class Choices:
     domains: str = "fixed"
     radius: str = "point"
     integration: Any = Points()
+    guards: Mapping[str, str] = field(default_factory=lambda: check_guards(None, GUARDS))
 
 
 def remaps(integrator: str, tpic: bool) -> bool:

@@ -51,6 +51,7 @@ class Tables:
         dim, method = grid.dim, choices.method
         bases = {method.mass, method.strain, method.force}
         self.smallest = np.array([step.min() for step in grid.steps])
+        self.widths = self.smallest              # how far points may move in one step
         self.ring = ring
         self.measure_domains(length)
         self.wide = self.overlong
@@ -84,7 +85,7 @@ class Tables:
 
     def survey(self) -> int:
         """Sum up what kernels said of the tiles; what was found, see :mod:`skfem_mpm.kernels.chunks`."""
-        found = chunks.survey(self.limits, self.bad, self.knots, self.sizes, self.smallest, self.reach, self.box,
+        found = chunks.survey(self.limits, self.bad, self.knots, self.sizes, self.widths, self.reach, self.box,
                               self.rows, self.work)
         if found & chunks.ELSEWHERE:
             self.window = Window(self.grid, self.box[0].copy(), self.box[1].copy(), self.planes,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 from skfem import Mesh
 
 from ..basis import Method, find_method
-from ..checks import NotConvergedError, OutsideGridError, check_choice
+from ..checks import NotConvergedError, OutsideGridError, check_choice, check_guards, warn_of_relaxed
 from ..grid import EDGES, Edges
 from ..integration import find_integration
 from ..kinematics import DOMAINS, RADII, STRAINS
@@ -28,6 +29,8 @@ __all__ = ["Control", "State", "implicit_steps", "solve_cg", "solve_direct"]
 SCHEMES = ("equilibrated", "incremental")
 TANGENTS = ("exact", "conjugate")
 REMEDIES = ("none", "bbar")
+# What each guard can do, first what it does if nothing is said.
+GUARDS = {"converged": ("stop", "warn"), "yield": ("stop", "warn", "off")}
 NUMBER: Any = Real             # of a type that mypy takes for any: it does not know that these can be compared
 
 
@@ -38,7 +41,7 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
                    tangent: str | None = None, gravity: Any = None, solver: Solver | None = None, floor: float = 1e-6,
                    ghost: float = 0.0, tolerance: float = 1e-11, max_cuts: int = 6, control: Control | None = None,
                    dt: float | None = None, numerical_damping: float = 0.0, engine: str = "auto",
-                   remedy: str = "none") -> Iterator[State]:
+                   remedy: str = "none", guards: Mapping[str, str] | None = None) -> Iterator[State]:
     r"""Bring a body to equilibrium load step by load step, or move it in time; yields a :class:`State` after each.
 
     Parameters
@@ -114,6 +117,11 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         Against volumetric locking: ``none``, or ``bbar``, where points answer to the mean dilation of their cells:
         B-bar with ``strain="small"``, F-bar in a symmetric form with ``"logarithmic"``; see
         :mod:`skfem_mpm.implicit.fbar`.  Not in one dimension without hoop strain.
+    guards
+        What to do where a limit is passed, by name: ``stop`` (if nothing is said), ``warn`` or ``off``.  They are
+        ``converged`` (a step that does not converge after all cuts; with ``warn`` the best iterate is taken, which is
+        not in equilibrium, and what it lacks is part of the next step) and ``yield`` (stress beyond the yield surface
+        of a law that offers ``excess``, by more than 1e-6 of its strength); only the latter can be ``off``.
 
     Raises
     ------
@@ -124,7 +132,13 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     OutsideGridError
         If a point, a domain or a wall leaves the grid.
     NotConvergedError
-        If a step finds no equilibrium or the solver fails; ``.state`` is the last good state.
+        If a step finds no equilibrium, the solver fails, a number is no longer finite or stress is beyond yield;
+        ``.state`` is the last good state.
+
+    Warns
+    -----
+    UserWarning
+        If a guard is off, and where one that should ``warn`` has something to say.
 
     Examples
     --------
@@ -158,7 +172,10 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     _check_remedy(options, state.particles)
     options = replace(options, engine=engine_of(engine, state, options.method))
     load = gravity if callable(gravity) else lambda step: gravity
-    return _run(mesh, state, material, options, int(steps), load, max_cuts)
+    held = check_guards(guards, GUARDS)
+    warn_of_relaxed(held)
+    options = replace(options, yields=held["yield"])
+    return _run(mesh, state, material, options, int(steps), load, max_cuts, held["converged"] == "warn")
 
 
 def _check(method: str | Method, strain: str, scheme: str, weights: str, integration: Any, edges: Edges,
@@ -231,13 +248,14 @@ def _initial(start: Any, boundary: Any, free: bool) -> State:
 
 
 def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, load: Callable[[float], Any],
-         max_cuts: int) -> Iterator[State]:
+         max_cuts: int, lenient: bool) -> Iterator[State]:
     for _ in range(steps):
-        good, done, share, cuts = state, 0.0, 1.0, 0
+        good, done, share, cuts, worst = state, 0.0, 1.0, 0, 0.0
         while done < 1:
             here = mesh(state) if callable(mesh) else mesh
             try:
-                state = Step(here, state, material, options).advance(share, load, good.step + done)
+                now = replace(options, lenient=lenient and cuts == max_cuts)
+                state = Step(here, state, material, now).advance(share, load, good.step + done)
             except Retry as failure:
                 share, cuts = share / 2, cuts + 1
                 if cuts > max_cuts:
@@ -250,5 +268,10 @@ def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, l
                 raise OutsideGridError(f"step {good.step + 1}: {failure}") from failure
             else:
                 done += share
+                worst = max(worst, *state.residuals[-1:], 0.0)
+        if worst > options.tolerance:
+            warnings.warn(f"step {good.step + 1}: taken with a residual of {worst:.1e}, above the tolerance of "
+                          f"{options.tolerance:g}; it is not in equilibrium.  Use smaller steps.", UserWarning,
+                          stacklevel=2)
         state = replace(state, step=good.step + 1, cuts=cuts)
         yield state

@@ -146,3 +146,5 @@ class Options:
     numerical_damping: float = 0.0
     engine: str = "numpy"
     remedy: str = "none"
+    yields: str = "stop"                    # what to do with stress beyond yield
+    lenient: bool = False                   # whether the best of an iteration that does not converge will do

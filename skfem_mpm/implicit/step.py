@@ -25,6 +25,7 @@ from ..support import Support, stack_rows
 from ..weights import weights
 from .engine import made_for
 from .fbar import averaged, cell_shares
+from .guards import check_yield, respond
 from .inertia import Inertia
 from .recovery import Recovery
 from .solve import Factors, bordered, independent_rows, solve_constrained, solve_direct
@@ -33,6 +34,7 @@ from .state import Options, State
 MAX_PASSES = 25
 MAX_INEXACT = 500    # with a tangent that is not the derivative of the residual; it must halve every MAX_PASSES
 SHARES = tuple(0.5 ** k for k in range(8))    # at the kinks of plastic flow only short ways along the tangent go down
+
 
 
 class Retry(Exception):
@@ -70,6 +72,7 @@ class _Iterate:
     response: Any
     force: ndarray
     residual: float
+    trouble: str = ""                # what is wrong where the residual is infinite
 
 
 class Step:
@@ -222,8 +225,10 @@ class Step:
         problem = _Problem(external, walls.rows, walls.values, walls.columns)
         inertia = Inertia(self.support, dt, options.numerical_damping, options.solver or solve_direct)
         if old is None:
-            internal = self._iterate(problem, 0 * external, 0 * walls.values).force
-            old = inertia.at_rest(self._weight(before) - internal, walls.rows, walls.columns)
+            start = self._iterate(problem, 0 * external, 0 * walls.values)
+            if start.trouble:
+                raise Retry(start.trouble)
+            old = inertia.at_rest(self._weight(before) - start.force, walls.rows, walls.columns)
         velocity = self.particles.velocity
         inertia.start(velocity, old)
         self.inertia = inertia
@@ -296,21 +301,37 @@ class Step:
 
     def _newton(self, problem: _Problem) -> tuple[ndarray, ndarray, tuple[float, ...]]:
         at = self._iterate(problem, np.zeros(problem.rows.shape[1]), np.zeros(len(problem.values)))
+        if at.trouble:
+            raise Retry(at.trouble)
         problem = replace(problem, before=float(np.linalg.norm(at.force)))
         residuals: list[float] = []
+        tolerance, lenient = self.options.tolerance, self.options.lenient
         passes = MAX_PASSES if self.tangent_operator is self.operator else MAX_INEXACT
         for _ in range(passes):
-            stiffness = self._stiffness(at.response.tangent())
-            problem = replace(problem, diagonal=stiffness.diagonal())
-            change, target = self._linear_solve(stiffness, problem.external - at.force, problem.rows,
-                                                problem.values - problem.rows @ at.unknowns, problem.columns)
-            at = self._line_search(problem, at, change, target, first=not residuals)
+            try:
+                at = self._pass(problem, at, first=not residuals)
+            except Retry:
+                if lenient and residuals:
+                    break
+                raise
             residuals.append(at.residual)
-            if at.residual <= self.options.tolerance:
-                return at.unknowns, np.concatenate([at.force - problem.external, at.multipliers]), tuple(residuals)
-            if len(residuals) > MAX_PASSES and residuals[-1] > residuals[-1 - MAX_PASSES] / 2:
+            stalled = len(residuals) > MAX_PASSES and residuals[-1] > residuals[-1 - MAX_PASSES] / 2
+            if at.residual <= tolerance or stalled:
                 break
-        raise Retry(f"the residual stayed at {residuals[-1]:.1e} after {len(residuals)} Newton passes")
+        if at.residual <= tolerance or lenient:
+            return at.unknowns, np.concatenate([at.force - problem.external, at.multipliers]), tuple(residuals)
+        raise Retry(f"the residual stayed at {residuals[-1]:.1e}, above the tolerance of {tolerance:g}, after "
+                    f"{len(residuals)} Newton passes")
+
+    def _pass(self, problem: _Problem, at: _Iterate, first: bool) -> _Iterate:
+        """One pass of Newton's method."""
+        stiffness = self._stiffness(at.response.tangent())
+        if not np.isfinite(stiffness.data).all():
+            raise Retry("the stiffness is not finite; look at the tangent of the law")
+        problem = replace(problem, diagonal=stiffness.diagonal())
+        change, target = self._linear_solve(stiffness, problem.external - at.force, problem.rows,
+                                            problem.values - problem.rows @ at.unknowns, problem.columns)
+        return self._line_search(problem, at, change, target, first)
 
     def _line_search(self, problem: _Problem, at: _Iterate, change: ndarray, target: ndarray, first: bool) -> _Iterate:
         """Take the largest of a few shares of the change that lowers the residual; in the first pass the whole."""
@@ -320,16 +341,16 @@ class Step:
             if np.isfinite(trial.residual) and (first or trial.residual < max(at.residual, self.options.tolerance)):
                 return trial
         if first:
-            raise Retry("the first Newton pass turned a point inside out")
+            raise Retry(f"after the first Newton pass {trial.trouble}")
         raise Retry(f"the residual did not fall below {at.residual:.1e}")
 
     def _iterate(self, problem: _Problem, unknowns: ndarray, multipliers: ndarray) -> _Iterate:
-        """Response, force and residual at a trial displacement; the residual is infinite where a point inverts."""
+        """Response, force and residual at a trial displacement; the residual is infinite where something is wrong."""
         support = self.support
         gradient = self.operator.gradient(support.spread(unknowns))
-        if not self.motion.stretch(gradient).min() > 0:
-            return _Iterate(unknowns, multipliers, None, unknowns, np.inf)
-        response = self.motion.respond(gradient)
+        response, trouble = respond(self.motion, gradient, self.particles.x)
+        if trouble:
+            return _Iterate(unknowns, multipliers, None, unknowns, np.inf, trouble)
         soft = support.transfer.T @ (self.soft @ (support.transfer @ unknowns))
         force = support.gather(self.operator.force(response.piola)) + soft
         if self.inertia is not None:
@@ -337,6 +358,8 @@ class Step:
         wall = problem.columns @ multipliers
         unbalanced = np.linalg.norm((force - problem.external + wall)[support.free])
         size = problem.before + sum(np.linalg.norm(part) for part in (force, problem.external, wall))
+        if not np.isfinite(size):
+            return _Iterate(unknowns, multipliers, None, unknowns, np.inf, "the forces are not finite")
         noise = 1e-14 * np.linalg.norm(problem.diagonal * unknowns)    # all there is where nothing resists
         residual = 0.0 if unbalanced <= noise else float(unbalanced / size)
         return _Iterate(unknowns, multipliers, response, force, residual)
@@ -371,9 +394,10 @@ class Step:
                 reactions: dict[str, ndarray], gravity: Any) -> State:
         support, old = self.support, self.particles
         gradient = self.operator.gradient(u)
-        if not self.motion.stretch(gradient).min() > 0:
-            raise Retry("a point turned inside out")
-        response = self.motion.respond(gradient)
+        response, trouble = respond(self.motion, gradient, self.particles.x)
+        if trouble:
+            raise Retry(trouble)
+        check_yield(self.material, response, old.x, self.state.step + 1, self.options.yields)
         volume = old.volume * response.ratio            # by the dilation that the stress knows of
         particles = replace(old, x=old.x + support.motion.to_points(u, plain=True), volume=volume,
                             sigma=response.sigma, epsilon=response.epsilon,

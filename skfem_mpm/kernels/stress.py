@@ -21,6 +21,14 @@ def _with_hoop(ratio, hoop_stretch):
 
 
 @njit(**INLINE)
+def _changed(volume, p, ratio):
+    """Change a volume; one if what is left is none."""
+    after = volume[p] * ratio
+    volume[p] = after
+    return np.int64(not 0 < after < np.inf)
+
+
+@njit(**INLINE)
 def _spin2(xx, xy, yx, yy, sxx, syy, sxy):
     """Stress turned by the step, by Hughes and Winget."""
     a = (xy - yx) / 4
@@ -65,8 +73,7 @@ def turn1(sigma, grad, first, volume, hoop, bad, p0, p1):
         if len(hoop):
             ratio = _with_hoop(ratio, 1 + grad[1, g])
             grad[2, g], grad[1, g], grad[3, g] = grad[1, g], 0.0, 0.0
-        volume[p] *= ratio
-        inverted += np.int64(not ratio > 0)
+        inverted += _changed(volume, p, ratio)
     bad[0] = inverted
 
 
@@ -81,8 +88,7 @@ def turn2(sigma, grad, first, volume, hoop, bad, p0, p1):
         ratio = (1 + xx) * (1 + yy) - xy * yx
         ratio = _with_hoop(ratio, 1 + grad[4, g]) if len(hoop) else ratio
         grad[1, g], grad[2, g], grad[3, g] = yy, grad[4, g] if len(hoop) else 0.0, (xy + yx) / 2
-        volume[p] *= ratio
-        inverted += np.int64(not ratio > 0)
+        inverted += _changed(volume, p, ratio)
     bad[0] = inverted
 
 
@@ -101,8 +107,7 @@ def turn3(sigma, grad, first, volume, hoop, bad, p0, p1):
         ratio = _ratio3(xx, xy, xz, yx, yy, yz, zx, zy, zz)
         grad[0, g], grad[1, g], grad[2, g] = xx, yy, zz
         grad[3, g], grad[4, g], grad[5, g] = (xy + yx) / 2, (yz + zy) / 2, (xz + zx) / 2
-        volume[p] *= ratio
-        inverted += np.int64(not ratio > 0)
+        inverted += _changed(volume, p, ratio)
     bad[0] = inverted
 
 
@@ -118,12 +123,12 @@ def elastic1(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
         part = lam * (slope + ring)
         after = sigma[0, p] + (twice * slope + part)
         sigma[0, p] = after
-        wrong += np.int64(after * 0.0 != 0.0)
         if len(hoop):
             sigma[1, p] += part
             sigma[2, p] += twice * ring + part
-        volume[p] *= ratio
-        inverted += np.int64(not ratio > 0)
+            after += sigma[1, p] + sigma[2, p]
+        wrong += np.int64(after * 0.0 != 0.0)
+        inverted += _changed(volume, p, ratio)
     bad[0], bad[1] = inverted, wrong
 
 
@@ -143,8 +148,7 @@ def elastic2(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
         s2, s3 = sigma[2, p] + (twice * ring + part), sxy + twice * ((xy + yx) / 2)
         sigma[0, p], sigma[1, p], sigma[2, p], sigma[3, p] = s0, s1, s2, s3
         wrong += np.int64((s0 + s1 + s2 + s3) * 0.0 != 0.0)
-        volume[p] *= ratio
-        inverted += np.int64(not ratio > 0)
+        inverted += _changed(volume, p, ratio)
     bad[0], bad[1] = inverted, wrong
 
 
@@ -166,8 +170,7 @@ def elastic3(sigma, grad, first, volume, hoop, bad, lam, twice, p0, p1):
         sigma[0, p], sigma[1, p], sigma[2, p], sigma[3, p], sigma[4, p], sigma[5, p] = s0, s1, s2, s3, s4, s5
         wrong += np.int64((s0 + s1 + s2 + s3 + s4 + s5) * 0.0 != 0.0)
         ratio = _ratio3(xx, xy, xz, yx, yy, yz, zx, zy, zz)
-        volume[p] *= ratio
-        inverted += np.int64(not ratio > 0)
+        inverted += _changed(volume, p, ratio)
     bad[0], bad[1] = inverted, wrong
 
 
@@ -208,7 +211,7 @@ def von_mises(strain, first, sigma, eps_p, volume, constants, bad, rows, p0, p1)
         eps_p[0, p] = after
         cohesion = (before + max(residual, peak + softening * after)) / 2
         strain[0, g] = np.sqrt(3.0) * cohesion * slip * volume[p] if slip > 0 else 0.0
-        wrong += np.int64((square + mean) * 0.0 != 0.0)
+        wrong += np.int64((square + mean + after) * 0.0 != 0.0)
     bad[1] = wrong
 
 

@@ -6,9 +6,9 @@ stored packed, ``(ncomp, n)``, shear as the tensor component.
 """
 
 from .domains import DOMAINS, RADII, carried, stretched
-from .laws import check_law
+from .laws import beyond_yield, check_law
 from .motion import Kinematics, axisymmetric, plane_strain, solid, uniaxial
 from .strains import RATES, STRAINS, Logarithmic, Objective, Response, Small
 
 __all__ = ["DOMAINS", "RADII", "RATES", "STRAINS", "Kinematics", "Logarithmic", "Objective", "Response", "Small",
-           "axisymmetric", "carried", "check_law", "plane_strain", "solid", "stretched", "uniaxial"]
+           "axisymmetric", "beyond_yield", "carried", "check_law", "plane_strain", "solid", "stretched", "uniaxial"]

@@ -72,3 +72,23 @@ def moduli(law: Any, strain: ndarray, stress: ndarray, history: ndarray, places:
         raise ValueError(f"{type(law).__name__}.tangent: got shape {np.shape(tangent)}, expected {(m, m, n)}, or "
                          f"{(m, m, 1)} if it is the same for all points.")
     return tangent
+
+
+def beyond_yield(law: Any, sigma: ndarray, epsilon: ndarray | None, history: ndarray) -> ndarray | None:
+    """How far the stress of points is beyond yield, as a share of strength ``(n,)``; ``None`` if the law does not say.
+
+    Parameters
+    ----------
+    sigma, epsilon
+        ``(ncomp, n)``; Cauchy stress and, where it is kept, elastic logarithmic strain.
+    history
+        ``(k, n)``.
+    """
+    if not hasattr(law, "excess"):
+        return None
+    stress = sigma if epsilon is None or not law.kirchhoff else sigma * np.exp(epsilon[:3].sum(axis=0))
+    excess = np.asarray(law.excess(stress, history))
+    if excess.shape != stress.shape[1:]:
+        raise ValueError(f"{type(law).__name__}.excess: got shape {excess.shape}, expected {stress.shape[1:]}, one "
+                         "number for each point.")
+    return excess
