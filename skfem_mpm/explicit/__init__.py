@@ -50,7 +50,9 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     strain
         ``small`` (increments of the Jaumann rate) or ``logarithmic``.
     integrator
-        When stress is updated: ``musl`` (last, from velocities mapped anew), ``usl`` (last), ``usf`` (first).
+        When stress is updated: ``musl`` (last, from velocities mapped anew), ``usl`` (last), ``usf`` (first), or
+        ``usavg`` (half first, half last, both from velocities mapped anew): symmetric in time, so that velocity and
+        stress are of one time, and energy stays where points cross cells; a step takes longer by the second update.
     edges
         What GIMP does at the edge of the grid: ``ghost``, ``truncate``, ``clip``.
     domains
@@ -81,7 +83,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     dt
         Time step; found from the highest frequency of the layout, times ``safety``, and refreshed, if not given.
     safety
-        Share of the stable step to take, above 0 and at most 1.  Errors of energy fall with it.
+        Share of the stable step of FLIP to take, above 0 and at most 1 (a share of PIC, or XPIC, bear up to 1.4 times
+        less, and never get more).  Errors of energy fall with it.
     refresh
         After how many steps the stable step is found again; 50 if not given, but 1 with ``usl`` or ``tpic``, whose
         stable step collapses for a while when a point enters an empty cell.

@@ -25,6 +25,7 @@ from scipy.sparse import dia_array
 from ..grid import chunks
 from .couplings import Couplings
 from .nodes import Nodes
+from .state import Choices, remaps
 
 ITERATIONS = 10
 
@@ -66,6 +67,18 @@ def root_scale(mass: ndarray, active: ndarray) -> tuple[ndarray, float]:
     """
     unit = float(np.ldexp(1.0, np.frexp(mass.max())[1]))
     return np.divide(1.0, np.sqrt(mass / unit), out=np.zeros_like(mass), where=active), unit
+
+
+def share_of_flip(choices: Choices) -> float:
+    r"""How long a step is stable for sure, where points do not keep what the grid does not change.
+
+    A wave of which the mapping to the points and back leaves the share :math:`c`, and the transfer the share :math:`F`,
+    is stable up to :math:`\Delta t^2 \omega^2 = 2 (1 + F)`: with a share :math:`\alpha` of FLIP :math:`F` is at least
+    :math:`\alpha`, with XPIC at least 0.  Where strain comes from the nodes themselves, filters only help.
+    """
+    if not remaps(choices.integrator, choices.tpic):
+        return 1.0
+    return float(np.sqrt((1 + (0.0 if choices.xpic else choices.flip)) / 2))
 
 
 def block_norms(nodes: Nodes, moduli: ndarray, volume: ndarray) -> dia_array:

@@ -21,7 +21,7 @@ from .fields import Fields
 from .guards import YIELD
 from .pairs import stable_step
 from .run import POINT_ARRAYS, Run
-from .state import Choices, ExplicitState, remaps
+from .state import FIRST, Choices, ExplicitState, remaps
 from .sums import NONE, NOTHING, Sums
 from .tables import Tables
 
@@ -46,7 +46,8 @@ class CompiledRun(Run):
         self.rows = (0,) * self.kinematics.ncomp
         self.diagonal = [row for row, (i, j) in enumerate(self.kinematics.rows(dim)) if i == j]
         self.smooth = choices.remedy == "bbar"
-        self.together = (method.force is method.mass and choices.integrator != "usf" and not choices.tpic
+        self.first = FIRST.get(choices.integrator, 0.0)
+        self.together = (method.force is method.mass and not self.first and not choices.tpic
                          and not (self.smooth or self.covers))
         self._choose_law()
         self.fused = (method.strain is method.mass and choices.integrator == "usl" and self.law != "python"
@@ -126,8 +127,8 @@ class CompiledRun(Run):
         if choices.xpic:
             self._filter()
         self._move_points(moved)
-        if choices.integrator == "musl":
-            self._update(sums.velocity(self._mapped(), 0))
+        if choices.integrator != "usl" and self.first < 1:
+            self._update(sums.velocity(self._mapped(), 0), 1 - self.first)
         elif choices.integrator == "usl" and not self.fused:
             self._update(moved)
         self._look(gravity)
@@ -160,7 +161,7 @@ class CompiledRun(Run):
         """Say what is wrong with which point, in the order of a step's parts; comes back if it is no reason to stop."""
         parts: list[Callable[[], None]] = [partial(self._check_finite, "velocity"),
                                            partial(self._check_volume, self.volume), self._check_stress]
-        for part in parts[1:] + parts[:1] if self.choices.integrator == "usf" else parts:
+        for part in parts[1:] + parts[:1] if self.first == 1 else parts:
             part()
         if not self._check_moved(self.ahead - self.x):
             size = np.abs(self.sigma).max(axis=0)
@@ -234,8 +235,8 @@ class CompiledRun(Run):
         nodal = self._map_points(gravity)
         if self.together:
             return nodal, 1 + self.dim
-        if self.choices.integrator == "usf":
-            self._update(sums.velocity(nodal, 1))
+        if self.first:
+            self._update(sums.velocity(nodal, 1), self.first)
         force = self._internal()
         if len(gravity):
             force += self.weight
@@ -298,9 +299,21 @@ class CompiledRun(Run):
             self._apply_law("moved", *moving, limits, mapping.kt, self.sigma, self.volume, self.hoop)
         else:
             self.crew(self.transfer.g2p, *moving, self.hoop, limits, mapping.kt)
+        if self.choices.integrator == "usavg":
+            self._centre(nodal)
         if self.slope is not None:
             self.crew(self.transfer.gradient, mapping.base, mapping.w, nodal, frame, self.x, 1.0, (), self.slope,
                       mapping.kt)
+
+    def _centre(self, nodal: ndarray) -> None:
+        """Take points back by half of what the change of velocity moved them: they move with the mean of the step."""
+        tables, still = self.tables, np.zeros_like(self.x)
+        mapping, way = tables.mapping, np.empty_like(self.x)
+        change = np.hstack([nodal[:, self.dim:], np.zeros((len(nodal), self.dim))])
+        self.crew(self.transfer.g2p, mapping.base, mapping.w, change, self.sums.window.frame, self.mass, still, way,
+                  still.copy(), 0.0, self.dt / 2, self.hoop, np.zeros_like(tables.limits), mapping.kt)
+        self.ahead -= way
+        chunks.measure_all(self.x, self.ahead, self.velocity, tables.limits)
 
     # -- stress ------------------------------------------------------------------------------------------------------
 
@@ -324,21 +337,22 @@ class CompiledRun(Run):
             self.crew(kernel, *arguments, self.history, self.constants, self.taken, self.rows, self.tables.bad)
             self.work["plastic"] += float(self.taken.sum())
 
-    def _update(self, nodal: ndarray) -> None:
-        """Stress after the step, by the gradient of nodal velocities."""
+    def _update(self, nodal: ndarray, share: float = 1.0) -> None:
+        """Stress after a share of the step, by the gradient of nodal velocities."""
+        dt = share * self.dt
         strain, frame, grad = self.tables.strain, self.sums.window.frame, self.grad
         if not len(grad):
-            return self._apply_law("mapped", strain.base, strain.w, nodal, frame, self.x, self.dt, strain.kt,
+            return self._apply_law("mapped", strain.base, strain.w, nodal, frame, self.x, dt, strain.kt,
                                    self.sigma, self.volume, self.hoop)
         if self.covers:
-            self.fields.gradient(nodal, self.dt, grad)
+            self.fields.gradient(nodal, dt, grad)
         else:
-            self.crew(self.transfer.gradient, strain.base, strain.w, nodal, frame, self.x, self.dt, self.hoop, grad,
+            self.crew(self.transfer.gradient, strain.base, strain.w, nodal, frame, self.x, dt, self.hoop, grad,
                       strain.kt)
         if self.smooth:
             grad[self.diagonal] += self._excess(grad[self.diagonal])
         if self.law == "python":
-            if self.choices.integrator != "usf":
+            if self.first < 1:
                 self._check_finite("velocity")
             return self._respond(grad[:len(self.kinematics.rows(self.dim))])
         if self.stretches:

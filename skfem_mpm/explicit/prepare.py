@@ -21,7 +21,7 @@ from .run import Run
 from .state import GUARDS, LEDGER, Choices, ExplicitState, remaps
 from .twin import conjugate
 
-INTEGRATORS = ("musl", "usl", "usf")
+INTEGRATORS = ("musl", "usl", "usf", "usavg")
 REMEDIES = ("none", "bbar")
 LEAVING = ("error", "remove")
 WHOLE: Any = Integral          # of types that mypy takes for any: it does not know that these can be compared

@@ -12,12 +12,12 @@ from skfem import Mesh
 from ..checks import OutsideGridError, check_positive
 from ..grid import Grid
 from ..kinematics import RATES, check_law, stretched
-from .bound import stable_step
+from .bound import share_of_flip, stable_step
 from .boxes import Boxes
 from .dilation import CellMeans
 from .guards import LOOK_EVERY, Guarded
 from .nodes import Nodes
-from .state import LEDGER, Choices, ExplicitState, remaps
+from .state import FIRST, LEDGER, Choices, ExplicitState, remaps
 from .twin import TwinNodes
 
 STORED = ("kinetic", "elastic")
@@ -121,16 +121,17 @@ class Run(Guarded):
             means = CellMeans(nodes.grid, nodes.mapping, nodes.integrated(self.volume))
         momentum = self._momentum(nodes)
         before = nodes.velocity(momentum)
-        if choices.integrator == "usf":
-            self._update_stress(nodes, means, before)
+        first = FIRST.get(choices.integrator, 0.0)
+        if first:
+            self._update_stress(nodes, means, before, first)
         force, lost = self._force(nodes, means, before)
         after = nodes.velocity(momentum + self.dt * force)
         self.work["damped"] += float((lost * (before + after)).sum() * self.dt / 2)
         moved = self._move(nodes, before, after)
-        if choices.integrator == "musl":
-            self._update_stress(nodes, means, nodes.velocity(self._momentum(nodes)))
-        elif choices.integrator == "usl":
+        if choices.integrator == "usl":
             self._update_stress(nodes, means, after)
+        elif first < 1:
+            self._update_stress(nodes, means, nodes.velocity(self._momentum(nodes)), 1 - first)
         self._check_moved(moved)
         self.x = self.x + moved
         self._leave()
@@ -179,7 +180,7 @@ class Run(Guarded):
     def _move(self, nodes: Nodes, before: ndarray, after: ndarray) -> ndarray:
         """Points take on the change of the grid's velocity; how far they move with it, ``(dim, n)``."""
         mapping, choices = nodes.mapping, self.choices
-        moving = mapping.to_middles(after)
+        moving = mapping.to_middles((before + after) / 2 if choices.integrator == "usavg" else after)
         gravity = self._gravity()
         if gravity is not None:
             self.work["external"] += float(gravity @ (before + after) @ nodes.lumped * self.dt / 2)
@@ -195,8 +196,9 @@ class Run(Guarded):
         self._check_finite("velocity")
         return self.dt * moving
 
-    def _update_stress(self, nodes: Nodes, means: CellMeans | None, velocity: ndarray) -> None:
-        gradient = nodes.strain.gradient(self.dt * velocity)
+    def _update_stress(self, nodes: Nodes, means: CellMeans | None, velocity: ndarray, share: float = 1.0) -> None:
+        """Stress after a share of the step with these velocities."""
+        gradient = nodes.strain.gradient(share * self.dt * velocity)
         self._respond(means.smooth(gradient) if means else gradient)
 
     def _motion(self) -> Any:
@@ -240,7 +242,7 @@ class Run(Guarded):
         self._take_step(stable_step(nodes, moduli, volume, self.mass, remaps(integrator, tpic), integrator == "usl"))
 
     def _take_step(self, stable: float) -> None:
-        """Choose the time step, knowing the stable one."""
+        """Choose the time step, knowing the one that is stable with FLIP."""
         self.refreshed = self.step
         dt = self.choices.dt
         if not stable > 0 or (dt is None and stable == np.inf):
@@ -249,8 +251,9 @@ class Run(Guarded):
             raise ValueError(f"dt: found a stable step of {stable}, which is none: the tangent of the law has no "
                              "stiffness or is not finite, or units are beyond what numbers hold; look at the tangent, "
                              "or give dt.")
-        self._check_step(stable)
-        self.dt = float(self.choices.safety * stable if dt is None else dt)
+        sure = stable * share_of_flip(self.choices)
+        self._check_step(sure)
+        self.dt = float(min(self.choices.safety * stable, sure) if dt is None else dt)
 
     # -- points that leave -------------------------------------------------------------------------------------------
 

@@ -20,6 +20,8 @@ GUARDS = {"step": ("warn", "stop", "off"), "moved": ("stop", "warn", "off"), "en
           "yield": ("stop", "warn", "off")}
 LEDGER = ("start", "peak", "external", "plastic", "damped", "removed")
 
+FIRST = {"usf": 1.0, "usavg": 0.5}     # share of a step's strain that stress follows before the force; the rest after
+
 
 @dataclass(frozen=True, eq=False)
 class ExplicitState:

@@ -80,7 +80,8 @@ class Tables:
     def measure(self, x: ndarray, velocity: ndarray) -> None:
         """Find out where points are, after their arrays have changed."""
         self.bad[:] = 0
-        chunks.measure_all(x, velocity, self.limits)
+        self.limits[:] = 0
+        chunks.measure_all(x, x, velocity, self.limits)
         self.survey()
 
     def survey(self) -> int:

@@ -133,12 +133,10 @@ def measure(x, ahead, v, limits, p0, p1):
 
 
 @njit(**OPTIONS)
-def measure_all(x, v, limits):
-    """The same of points at rest, all tiles."""
+def measure_all(x, ahead, v, limits):
+    """The same of all tiles."""
     for tile in range(len(limits)):
-        for j in range(limits.shape[1]):
-            limits[tile, j] = 0.0
-        measure(x, x, v, limits[tile], tile * TILE, min((tile + 1) * TILE, x.shape[1]))
+        measure(x, ahead, v, limits[tile], tile * TILE, min((tile + 1) * TILE, x.shape[1]))
 
 
 @njit(**INLINE)
