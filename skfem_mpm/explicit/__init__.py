@@ -10,6 +10,7 @@ from typing import Any
 from skfem import Mesh
 
 from ..basis import Method
+from ..cautions import caution
 from ..grid import Edges
 from ..particles import Particles
 from .prepare import check_counts, check_spans, prepare
@@ -105,7 +106,9 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     -----
     UserWarning
         Once, if the method's strain is not conjugate to its forces (elastic waves then grow), or if the given
-        time step is above the stable one.
+        time step is above the stable one; if the law is nearly incompressible and there is no remedy, if points of a
+        cell differ far in stiffness, or if the body comes apart, be it only because its points are too far from each
+        other.
 
     Examples
     --------
@@ -126,6 +129,7 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
                   domains=domains, radius=radius, integration=integration, flip=flip, xpic=xpic, tpic=tpic,
                   remedy=remedy, damping=damping, gravity=gravity, ramp=ramp, dt=dt, safety=safety, refresh=refresh,
                   leaving=leaving, engine=engine, threads=threads)
+    caution(mesh, run.last.particles, material, remedy)
     if not run.choices.method.conjugate:
         warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow, at any time step; "
                       "with 'cmpm-c' and 'gimp' they do not.", UserWarning, stacklevel=2)

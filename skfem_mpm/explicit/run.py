@@ -10,6 +10,7 @@ import numpy as np
 from numpy import ndarray
 from skfem import Mesh
 
+from ..cautions import Pieces
 from ..checks import OutsideGridError, UnstableError, check_positive
 from ..grid import Grid
 from ..kinematics import RATES, check_law, stretched
@@ -39,7 +40,7 @@ class Run:
         self.planes, self.last = start.boundary, start
         self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
         self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
-        self.kept = start.kept
+        self.kept, self.pieces = start.kept, Pieces()
         self.warned = start.dt == choices.dt               # a run that goes on has been told
         method = choices.method
         bases = (method.mass, method.strain, method.force)
@@ -230,6 +231,7 @@ class Run:
     def _take_step(self, stable: float) -> None:
         """Choose the time step, knowing the stable one."""
         self._check_energy()
+        self.pieces.look(self.grid.locate(self.x), self.step + 1)
         self.refreshed = self.step
         if self.choices.dt is None and not 0 < stable < np.inf:
             raise ValueError(f"dt: found a stable step of {stable}, which is none: the law has no stiffness, or units "

@@ -11,6 +11,7 @@ import numpy as np
 from skfem import Mesh
 
 from ..basis import Method, find_method
+from ..cautions import Pieces, caution, caution_at_axis
 from ..checks import NotConvergedError, OutsideGridError, check_choice
 from ..grid import EDGES, Edges
 from ..integration import find_integration
@@ -89,7 +90,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         matrix is symmetric indefinite (multipliers), and unsymmetric for methods whose strain is not conjugate to
         force.
     floor
-        Soft elastic stiffness as a share of the mean modulus, on all cells around the body.
+        Soft elastic stiffness on all cells around the body, as a share of the mean modulus; of the smallest one in a
+        cell (or around it), where moduli differ from point to point.
     ghost
         Ghost penalty on jumps of the displacement's normal gradient at cut cells, as a share of Young's modulus; 0 for
         none, 0.1 is a good value in 2-D and 3-D; see :mod:`skfem_mpm.ghost`.
@@ -125,6 +127,12 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         If a point, a domain or a wall leaves the grid.
     NotConvergedError
         If a step finds no equilibrium or the solver fails; ``.state`` is the last good state.
+
+    Warns
+    -----
+    UserWarning
+        If the law is nearly incompressible and there is no remedy, if points of a cell differ far in stiffness, or if
+        the body comes apart, be it only because its points are too far from each other.
 
     Examples
     --------
@@ -232,12 +240,17 @@ def _initial(start: Any, boundary: Any, free: bool) -> State:
 
 def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, load: Callable[[float], Any],
          max_cuts: int) -> Iterator[State]:
+    caution(mesh(state) if callable(mesh) else mesh, state.particles, material, options.remedy)
+    caution_at_axis(state.particles, options.method)
+    pieces = Pieces()
     for _ in range(steps):
         good, done, share, cuts = state, 0.0, 1.0, 0
         while done < 1:
             here = mesh(state) if callable(mesh) else mesh
             try:
-                state = Step(here, state, material, options).advance(share, load, good.step + done)
+                step = Step(here, state, material, options)
+                pieces.look(step.support.index, good.step + 1)
+                state = step.advance(share, load, good.step + done)
             except Retry as failure:
                 share, cuts = share / 2, cuts + 1
                 if cuts > max_cuts:
