@@ -14,7 +14,7 @@ FLOOR = {
     "grid": 1, "locator": 1,
     "elements": 2, "particles": 2, "weights": 2,
     "basis": 3, "cover": 3, "kernels": 3, "output": 3, "plot": 3,
-    "integration": 4, "boundary": 4, "support": 4, "ghost": 4,
+    "cautions": 4, "integration": 4, "boundary": 4, "support": 4, "ghost": 4,
     "implicit": 5, "explicit": 5,
     "scenes": 6,
     "study": 7, "stability": 7,

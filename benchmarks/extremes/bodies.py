@@ -39,6 +39,11 @@ def last(states):
     return state
 
 
+def until(time, states):
+    """The first of some states that is at a time, or past it."""
+    return next(state for state in states if state.time >= time * (1 - 1e-9))
+
+
 def mechanical(state):
     """Kinetic and elastic energy."""
     return state.energy["kinetic"] + state.energy["elastic"]

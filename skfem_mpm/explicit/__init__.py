@@ -10,6 +10,7 @@ from typing import Any
 from skfem import Mesh
 
 from ..basis import Method
+from ..cautions import caution
 from ..checks import warn_of_relaxed
 from ..grid import Edges
 from ..particles import Particles
@@ -116,7 +117,9 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     -----
     UserWarning
         Once each, if the method's strain is not conjugate to its forces (elastic waves then grow), the given time step
-        is above the stable one, the body has twice the energy that was there for it, or a guard is off.
+        is above the stable one, the body has twice the energy that was there for it, a guard is off, the law is nearly
+        incompressible and there is no remedy, points of a cell differ far in stiffness, or the body comes apart, be it
+        only because its points are too far from each other.
 
     Examples
     --------
@@ -138,6 +141,7 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
                   remedy=remedy, damping=damping, gravity=gravity, ramp=ramp, dt=dt, safety=safety, refresh=refresh,
                   leaving=leaving, engine=engine, threads=threads, guards=guards)
     warn_of_relaxed(run.choices.guards)
+    caution(mesh, run.last.particles, material, remedy)
     if not run.choices.method.conjugate:
         warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow, at any time step; "
                       "with 'cmpm-c' and 'gimp' they do not.", UserWarning, stacklevel=2)

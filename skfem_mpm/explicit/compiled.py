@@ -16,7 +16,7 @@ from ..basis import ParticleBasis
 from ..kernels import chunks, dilation, domains, energy
 from ..kernels.crew import Crew
 from ..kernels.options import TILE
-from ..materials import LinearElastic, VonMises
+from ..materials import Hencky, LinearElastic, VonMises
 from .fields import Fields
 from .guards import YIELD
 from .pairs import stable_step
@@ -27,6 +27,7 @@ from .tables import Tables
 
 SORT_EVERY = 100
 ARRAYS = (*POINT_ARRAYS, "ahead")
+OWN = (LinearElastic, Hencky, VonMises)      # laws that are the same for all points; others may hold numbers for each
 FATAL = chunks.NOT_FINITE | chunks.FAR | chunks.TURNED
 
 
@@ -52,8 +53,9 @@ class CompiledRun(Run):
         self._choose_law()
         self.fused = (method.strain is method.mass and choices.integrator == "usl" and self.law != "python"
                       and not (self.smooth or self.stretches or self.covers))
+        self.sorts = type(material) in OWN
         self.sorted = start.order is not None
-        self.order = np.arange(self.x.shape[1]) if start.order is None else start.order
+        self.order = start.order if self.sorts and start.order is not None else np.arange(self.x.shape[1])
         self.ahead = self.x
         self._arrange(self.order)
         self._make_room()
@@ -92,7 +94,13 @@ class CompiledRun(Run):
         self.tables.measure(self.x, self.velocity)
 
     def _sort(self) -> None:
-        """Sort points by cell: then a chunk of them touches few nodes, and they share them in the cache."""
+        """Sort points by cell: then a chunk of them touches few nodes, and they share them in the cache.
+
+        Where the law is one of the user's own, they stay in the user's order, which is what it may count on.
+        """
+        if not self.sorts:
+            self.sorted = True
+            return
         cell = self.grid.locate(self.x)
         number = cell[0]
         for k in range(1, self.dim):

@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy import ndarray
 
+from ..cautions import Pieces
 from ..checks import UnstableError
 from ..grid import Grid
 from ..kinematics import Kinematics, beyond_yield
@@ -50,6 +51,7 @@ class Guarded:
     history: ndarray
     slope: Any
     kept: ndarray | None
+    pieces: Pieces
 
     # -- numbers -----------------------------------------------------------------------------------------------------
 
@@ -126,6 +128,7 @@ class Guarded:
                           f"{self._cure()}", UserWarning, stacklevel=2)
         self._check_energy(inner, limit)
         self._check_yield()
+        self.pieces.look(self.grid.locate(self.x), self.doing)
 
     alarmed = False
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy import ndarray
 from skfem import Mesh
 
+from ..cautions import Pieces
 from ..checks import OutsideGridError, check_positive
 from ..grid import Grid
 from ..kinematics import RATES, check_law, stretched
@@ -40,7 +41,7 @@ class Run(Guarded):
         self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
         self.doing = start.step + 1
         self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
-        self.kept = start.kept
+        self.kept, self.pieces = start.kept, Pieces()
         self.warned = start.dt == choices.dt               # a run that goes on has been told
         limited = choices.guards["moved"] != "off"
         self.farthest = np.array([step.min() if limited else np.inf for step in self.grid.steps])
@@ -242,7 +243,6 @@ class Run(Guarded):
         self._take_step(stable_step(nodes, moduli, volume, self.mass, remaps(integrator, tpic), integrator == "usl"))
 
     def _take_step(self, stable: float) -> None:
-        """Choose the time step, knowing the one that is stable with FLIP."""
         self.refreshed = self.step
         dt = self.choices.dt
         if not stable > 0 or (dt is None and stable == np.inf):

@@ -12,6 +12,7 @@ import numpy as np
 from skfem import Mesh
 
 from ..basis import Method, find_method
+from ..cautions import Pieces, caution, caution_at_axis
 from ..checks import NotConvergedError, OutsideGridError, check_choice, check_guards, warn_of_relaxed
 from ..grid import EDGES, Edges
 from ..integration import find_integration
@@ -92,7 +93,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         matrix is symmetric indefinite (multipliers), and unsymmetric for methods whose strain is not conjugate to
         force.
     floor
-        Soft elastic stiffness as a share of the mean modulus, on all cells around the body.
+        Soft elastic stiffness on all cells around the body, as a share of the mean modulus; of the smallest one in a
+        cell (or around it), where moduli differ from point to point.
     ghost
         Ghost penalty on jumps of the displacement's normal gradient at cut cells, as a share of Young's modulus; 0 for
         none, 0.1 is a good value in 2-D and 3-D; see :mod:`skfem_mpm.ghost`.
@@ -138,7 +140,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     Warns
     -----
     UserWarning
-        If a guard is off, and where one that should ``warn`` has something to say.
+        If a guard is off, and where one that should ``warn`` has something to say; if the law is nearly incompressible and there is no remedy, if points of a cell differ far in stiffness, or if
+        the body comes apart, be it only because its points are too far from each other.
 
     Examples
     --------
@@ -249,13 +252,18 @@ def _initial(start: Any, boundary: Any, free: bool) -> State:
 
 def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, load: Callable[[float], Any],
          max_cuts: int, lenient: bool) -> Iterator[State]:
+    caution(mesh(state) if callable(mesh) else mesh, state.particles, material, options.remedy)
+    caution_at_axis(state.particles, options.method)
+    pieces = Pieces()
     for _ in range(steps):
         good, done, share, cuts, worst = state, 0.0, 1.0, 0, 0.0
         while done < 1:
             here = mesh(state) if callable(mesh) else mesh
             try:
                 now = replace(options, lenient=lenient and cuts == max_cuts)
-                state = Step(here, state, material, now).advance(share, load, good.step + done)
+                step = Step(here, state, material, now)
+                pieces.look(step.support.index, good.step + 1)
+                state = step.advance(share, load, good.step + done)
             except Retry as failure:
                 share, cuts = share / 2, cuts + 1
                 if cuts > max_cuts:

@@ -28,6 +28,7 @@ from .fbar import averaged, cell_shares
 from .guards import check_yield, respond
 from .inertia import Inertia
 from .recovery import Recovery
+from .soft import softest_around
 from .solve import Factors, bordered, independent_rows, solve_constrained, solve_direct
 from .state import Options, State
 
@@ -149,28 +150,34 @@ class Step:
         index, x, area = gauss_points(support.grid, cells)
         volume = area * x[0] if kinematics.hoop else area
         stencil = support.grid.linear(x, index)
-        moduli = self._floor_moduli()
+        moduli = self._floor_moduli(index)
         floor = on_points(kinematics, stencil, stencil, volume, x[0])
         return made_for(self.options.engine, floor).tangent(self.options.floor * moduli, support.number, size)
 
-    def _floor_moduli(self) -> ndarray:
-        """Mean moduli of the unstressed material; where dilation is averaged, without lateral contraction.
+    def _floor_moduli(self, cells: ndarray) -> ndarray:
+        """Moduli of the unstressed material in these cells; where dilation is averaged, without lateral contraction.
 
-        Nearly incompressible moduli would lock in the floor.
+        They are the mean ones of the body, scaled to the softest points around where these differ.  Nearly
+        incompressible moduli would lock in the floor.
         """
-        moduli = self._elastic().mean(axis=2, keepdims=True)
+        elastic, support = self._elastic(), self.support
+        moduli, stiffness = elastic.mean(axis=2, keepdims=True), elastic[0, 0]
+        share: Any = 1.0
+        if (stiffness != stiffness[0]).any():
+            share = softest_around(support.occupied, support.index, stiffness, cells) / moduli[0, 0]
         if self.options.remedy == "none":
-            return moduli
+            return moduli * share
         zero = np.zeros((self.particles.kinematics.ncomp, 1))
         law = LinearElastic(E=young(moduli[:, :, 0], self.motion.places), nu=0.0)
-        return law.tangent(zero, zero, zero[:0], self.motion.places)
+        return law.tangent(zero, zero, zero[:0], self.motion.places) * share
 
     def _ghost_stiffness(self) -> csc_array:
         """Penalty on jumps of the normal gradient at cut cells."""
         support, size = self.support, self.support.transfer.shape[0]
         if not self.options.ghost:
             return csc_array((size, size))
-        modulus = young(self._elastic().mean(axis=2), self.motion.places)
+        elastic = self._elastic()
+        modulus = young(elastic[:, :, elastic[0, 0].argmin()], self.motion.places)      # of the softest point
         return ghost_stiffness(self.mesh, support, support.occupied, self.options.ghost * modulus)
 
     def _elastic(self) -> ndarray:
