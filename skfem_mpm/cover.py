@@ -21,6 +21,7 @@ from skfem.refdom import RefLine, RefTet, RefTri
 
 from .checks import OutsideGridError
 from .grid import Grid, gauss_points, touched_cells
+from .kinematics.blocks import determinant
 from .particles import Particles
 
 SIMPLEX = {1: RefLine, 2: RefTri, 3: RefTet}
@@ -176,9 +177,9 @@ class Cover:
         points, dim = self.particles, self.grid.dim
         local, share = get_quadrature(SIMPLEX[dim], order)
         edges = self.pieces[:, 1:] - self.pieces[:, :1]
-        area = np.abs(np.linalg.det(edges.transpose(2, 0, 1)))
+        area = np.abs(determinant(edges))
         x = self.pieces[:, 0, :, None] + np.einsum("ijm,jg->img", edges, local)
-        owned = np.linalg.det(spans_of(points).transpose(2, 0, 1))
+        owned = determinant(spans_of(points))
         if points.kinematics.hoop:
             owned = owned * points.x[0]
         scale = (points.volume / owned)[self.owner]

@@ -106,13 +106,14 @@ def cut_cells(grid: Grid, in_play: ndarray, planes: Sequence[Any]) -> ndarray:
 
 def _assemble(mesh: Mesh, faces: ndarray, hoop: bool) -> coo_array:
     """The form on some faces of a mesh, for one component and a unit factor."""
-    elem = ELEMENTS[mesh.dim()]()
+    origin, elem = mesh.p.min(axis=1, keepdims=True), ELEMENTS[mesh.dim()]()
+    mesh = type(mesh)(mesh.p - origin, mesh.t)            # scikit-fem's inverse maps want coordinates of a cell's size
     dofs = Dofs(mesh, elem)
     sides = [InteriorFacetBasis(mesh, elem, facets=faces, side=side, intorder=3, dofs=dofs, disable_doflocs=True)
              for side in (0, 1)]
     middle = mesh.p[:, mesh.t].mean(axis=1)[:, mesh.f2t[:, faces]]
     width = np.linalg.norm(middle[:, 1] - middle[:, 0], axis=0)      # from middle to middle: mean of both widths
-    measure = np.asarray(sides[0].global_coordinates())[0] if hoop else np.ones((1, 1))
+    measure = origin[0] + np.asarray(sides[0].global_coordinates())[0] if hoop else np.ones((1, 1))
     return coo_array(asm(_jumps, sides, sides, width=width[:, None], measure=measure))
 
 

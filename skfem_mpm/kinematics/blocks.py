@@ -58,6 +58,16 @@ def turned_in_space(sigma: ndarray, gradient: ndarray) -> ndarray:
     return half[(0, 1, 2, 0, 1, 0), (0, 1, 2, 1, 2, 2)]
 
 
+def determinant(a: ndarray) -> ndarray:
+    """Determinant of each block ``(d, d, n)``, d up to 3, from products: numpy's own goes through a logarithm."""
+    if len(a) == 1:
+        return a[0, 0]
+    if len(a) == 2:
+        return a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = a
+    return xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx)
+
+
 def inverse(F: ndarray) -> ndarray:
     """Inverse of each block."""
     if len(F) == 1:

@@ -16,6 +16,7 @@ from skfem.quadrature import get_quadrature
 
 from ..checks import check_array, check_choice, check_positive
 from ..kinematics import Kinematics
+from ..kinematics.blocks import determinant
 from .inputs import check_kinematics
 
 TENSOR = (ElementLineP1, ElementQuad1, ElementHex1)
@@ -165,7 +166,7 @@ def _jacobian(elem: type[Element], corners: ndarray, points: ndarray) -> ndarray
 
 def _determinant(elem: type[Element], corners: ndarray, points: ndarray) -> ndarray:
     """Jacobian determinants ``(cells, q)`` at reference points."""
-    return np.linalg.det(_jacobian(elem, corners, points))
+    return determinant(np.moveaxis(_jacobian(elem, corners, points), (2, 3), (0, 1)))
 
 
 def _measure(elem: type[Element], corners: ndarray, parts: list[tuple[ndarray, ndarray]], hoop: bool,
@@ -211,8 +212,8 @@ def _spans(elem: type[Element], corners: ndarray, points: ndarray, area: ndarray
     """Edges ``(dim, dim, n)`` of parallelograms of the points' areas, along the cells; None where boxes are enough."""
     if elem not in TENSOR or _boxes(corners, area).all():
         return None
-    spans = _jacobian(elem, corners, points)[keep]
-    measure = np.linalg.det(spans)
-    spans *= (area[keep] / np.abs(measure))[:, None, None] ** (1 / len(corners))
-    spans[:, :, 0] *= np.sign(measure)[:, None]              # an edge may point either way
-    return spans.transpose(1, 2, 0)
+    spans = _jacobian(elem, corners, points)[keep].transpose(1, 2, 0)
+    measure = determinant(spans)
+    spans = spans * (area[keep] / np.abs(measure)) ** (1 / len(corners))
+    spans[:, 0] *= np.sign(measure)                          # an edge may point either way
+    return spans

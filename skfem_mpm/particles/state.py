@@ -14,6 +14,7 @@ from skfem import Mesh
 
 from ..checks import check_array, check_positive
 from ..kinematics import Kinematics
+from ..kinematics.blocks import determinant
 from .bodies import mesh_of
 from .fill import points_of_cells
 from .inputs import ARRAYS, check_chosen, check_fields, check_history, check_kinematics, check_positions, frozen
@@ -110,7 +111,7 @@ class Particles:
             for row in np.atleast_2d(held.get(name, 1.0)):
                 check_positive(name, row)
         if "spans" in held:
-            check_positive("spans (their determinant)", np.linalg.det(held["spans"].transpose(2, 0, 1)))
+            check_positive("spans (their determinant)", determinant(held["spans"]))
         for name, array in held.items():
             object.__setattr__(self, name, frozen(array))
         object.__setattr__(self, "fields", MappingProxyType(check_fields(self.fields, n)))
