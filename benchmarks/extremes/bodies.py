@@ -7,6 +7,7 @@ import numpy as np
 from skfem import MeshHex, MeshLine, MeshQuad
 
 from skfem_mpm import LinearElastic, Particles, plane_strain, solid, uniaxial
+from skfem_mpm.boundary import FixedPlane
 
 MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
 MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
@@ -47,3 +48,18 @@ def until(time, states):
 def mechanical(state):
     """Kinetic and elastic energy."""
     return state.energy["kinetic"] + state.energy["elastic"]
+
+
+def pull(dim, size=1e-3):
+    """Gravity down the last axis."""
+    return (0.0,) * (dim - 1) + (-size,)
+
+
+def low_planes(dim):
+    """Rollers at zero along every axis; the one that carries weight is the base."""
+    return [FixedPlane(k, 0.0, -1, name="base" if k == dim - 1 else f"side {k}") for k in range(dim)]
+
+
+def rms(values):
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -140,8 +140,9 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     Warns
     -----
     UserWarning
-        If a guard is off, and where one that should ``warn`` has something to say; if the law is nearly incompressible and there is no remedy, if points of a cell differ far in stiffness, or if
-        the body comes apart, be it only because its points are too far from each other.
+        If a guard is off, and where one that should ``warn`` has something to say; if the law is nearly incompressible
+        and there is no remedy, if points of a cell differ far in stiffness, or if the body comes apart, be it only
+        because its points are too far from each other.
 
     Examples
     --------

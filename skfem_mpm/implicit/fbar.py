@@ -28,7 +28,7 @@ from ..basis import ParticleBasis
 from ..grid import Edges, Grid
 from ..integration.dilation import Means, Spread, shares_of
 from ..kinematics import Response
-from ..kinematics.blocks import deformation, inverse
+from ..kinematics.blocks import deformation, determinant, inverse
 
 
 class Linear:
@@ -160,7 +160,7 @@ def _growth(block: ndarray) -> ndarray:
     if len(block) == 2:
         return block[0, 0] + block[1, 1] + block[0, 0] * block[1, 1] - block[0, 1] * block[1, 0]
     trace, square = np.einsum("iin->n", block), np.einsum("ijn,jin->n", block, block)
-    return trace + (trace ** 2 - square) / 2 + np.linalg.det(block.transpose(2, 0, 1))
+    return trace + (trace ** 2 - square) / 2 + determinant(block)
 
 
 def _spread(moduli: ndarray, piola: ndarray, seen: ndarray, normal: ndarray, scale: Any, d: int) -> Spread:
