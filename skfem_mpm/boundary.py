@@ -63,9 +63,9 @@ class FixedPlane:
             raise ValueError(f"plane {self.name!r}: got axis {self.axis} and components {self.components} on a mesh in "
                              f"{grid.dim} dimension(s), expected numbers from 0 to {grid.dim - 1}.")
         lines = grid.axes[self.axis]
-        if not np.isfinite(self.at) or (lines[0] < self.at < lines[-1] and not (self._distance(lines) == 0).any()):
+        if not (self._distance(lines) == 0).any():
             raise ValueError(f"at: got a fixed plane {self.name!r} at {self.at}, which is no grid line of axis "
-                             f"{self.axis}; move the grid so that one lies there.")
+                             f"{self.axis} (from {lines[0]:g} to {lines[-1]:g}); move the grid so that one lies there.")
         behind = self.side * (x[self.axis] - self.at) > 1e-9 * np.diff(lines).min()
         if behind.any():
             point = int(np.flatnonzero(behind)[0])

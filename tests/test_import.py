@@ -17,7 +17,7 @@ from skfem_mpm.boundary import FixedPlane
 axis = np.linspace(0, 1, 9)
 mesh = MeshQuad.init_tensor(axis, axis)
 body = Particles.fill(mesh, plane_strain, density=1.0, where=lambda x: abs(x - 0.5).max(axis=0) < 0.25)
-planes = [FixedPlane(1, 0.25, -1)]
+planes = [FixedPlane(1, 0.25, -1, (0, 1))]
 for method in ("gimp", "cmpm-c"):
     for state in explicit_steps(mesh, body, LinearElastic(E=1e3, nu=0.3), planes, steps=2, method=method, engine={}):
         pass

@@ -38,6 +38,8 @@ REMEDIES = {
     "cubic": {"integration": "cubic"},
     "dm": {"integration": "dm"},
     "dm-g": {"integration": "dm-g"},
+    "dm, ghost": {"integration": "dm", "ghost": 0.1},
+    "dm-g, ghost": {"integration": "dm-g", "ghost": 0.1},
     "no floor": {"floor": 0.0},
     "ghost": {"ghost": 0.1},
     "ghost, no floor": {"ghost": 0.1, "floor": 0.0},

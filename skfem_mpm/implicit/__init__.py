@@ -12,7 +12,7 @@ import numpy as np
 from skfem import Mesh
 
 from ..basis import Method, find_method
-from ..cautions import Pieces, caution, caution_at_axis
+from ..cautions import caution, caution_at_axis
 from ..checks import NotConvergedError, OutsideGridError, check_choice, check_guards, warn_of_relaxed
 from ..grid import EDGES, Edges
 from ..integration import find_integration
@@ -86,7 +86,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         force on both sides, as in the paper (default of ``incremental``).  ``dm`` and ``dm-g`` have a stiffness of
         their own in both cases.
     gravity
-        Body force per mass ``(dim,)``, or a function of the (possibly fractional) step that gives it.
+        Body force per mass ``(dim,)``, or a function of the (possibly fractional) step that gives it.  In a step that
+        is cut a constant one grows from what acted before; with ``dt`` it acts from the start.
     solver
         Any scikit-fem style ``solver(A, b)``, such as :func:`solve_direct` or :func:`solve_cg`.  If not given, large
         systems are factorised once per step, by SuperLU, and GMRES makes up for what has changed since.  With walls the
@@ -134,8 +135,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     OutsideGridError
         If a point, a domain or a wall leaves the grid.
     NotConvergedError
-        If a step finds no equilibrium, the solver fails, a number is no longer finite or stress is beyond yield;
-        ``.state`` is the last good state.
+        If a step finds no equilibrium, the solver fails, a part of the body is held by nothing, a number is no longer
+        finite or stress is beyond yield; ``.state`` is the last good state.
 
     Warns
     -----
@@ -175,11 +176,10 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     state = replace(_initial(start, boundary, free=dt is not None), control=control)
     _check_remedy(options, state.particles)
     options = replace(options, engine=engine_of(engine, state, options.method))
-    load = gravity if callable(gravity) else lambda step: gravity
     held = check_guards(guards, GUARDS)
     warn_of_relaxed(held)
     options = replace(options, yields=held["yield"])
-    return _run(mesh, state, material, options, int(steps), load, max_cuts, held["converged"] == "warn")
+    return _run(mesh, state, material, options, int(steps), gravity, max_cuts, held["converged"] == "warn")
 
 
 def _check(method: str | Method, strain: str, scheme: str, weights: str, integration: Any, edges: Edges,
@@ -251,19 +251,20 @@ def _initial(start: Any, boundary: Any, free: bool) -> State:
     return State(0, start, items, np.zeros((start.dim, 0)), {})
 
 
-def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, load: Callable[[float], Any],
-         max_cuts: int, lenient: bool) -> Iterator[State]:
+def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, gravity: Any, max_cuts: int,
+         lenient: bool) -> Iterator[State]:
     caution(mesh(state) if callable(mesh) else mesh, state.particles, material, options.remedy)
     caution_at_axis(state.particles, options.method)
-    pieces = Pieces()
+    start, parts = state, None
     for _ in range(steps):
         good, done, share, cuts, worst = state, 0.0, 1.0, 0, 0.0
+        load = _load(gravity, good, options)
         while done < 1:
             here = mesh(state) if callable(mesh) else mesh
             try:
-                now = replace(options, lenient=lenient and cuts == max_cuts)
-                step = Step(here, state, material, now)
-                pieces.look(step.support.index, good.step + 1)
+                step = Step(here, state, material, replace(options, lenient=lenient and cuts == max_cuts))
+                step.parts.warn_if_apart(parts, step.support, good.step + 1)
+                parts = step.parts
                 state = step.advance(share, load, good.step + done)
             except Retry as failure:
                 share, cuts = share / 2, cuts + 1
@@ -275,6 +276,10 @@ def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, l
                 raise NotConvergedError(f"step {good.step + 1}: {failure}", good) from failure
             except OutsideGridError as failure:
                 raise OutsideGridError(f"step {good.step + 1}: {failure}") from failure
+            except ValueError as failure:
+                if state is start:                      # what was given does not fit
+                    raise
+                raise NotConvergedError(f"step {good.step + 1}: {failure}", good) from failure
             else:
                 done += share
                 worst = max(worst, *state.residuals[-1:], 0.0)
@@ -284,3 +289,17 @@ def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, l
                           stacklevel=2)
         state = replace(state, step=good.step + 1, cuts=cuts)
         yield state
+
+
+def _load(gravity: Any, good: State, options: Options) -> Callable[[float], Any]:
+    """Gravity at any time of a step; in one that is cut a constant one grows in parts, from what acted before."""
+    if callable(gravity):
+        return gravity
+    if gravity is None or options.dt or good.control is not None:
+        return lambda step: gravity
+    before = 0.0 if good.gravity is None else np.asarray(good.gravity, dtype=float)
+
+    def load(step: float) -> Any:
+        share = step - good.step
+        return gravity if share >= 1 else (1 - share) * before + share * np.asarray(gravity, dtype=float)
+    return load

@@ -97,7 +97,7 @@ def solve_constrained(solver: Solver, stiffness: csr_array, force: ndarray, rows
     rhs = np.concatenate([force[free], scale * values])
     try:
         solution = np.asarray(solver(system, rhs))
-    except (RuntimeError, ArithmeticError, np.linalg.LinAlgError) as failure:
+    except (RuntimeError, ArithmeticError, ValueError) as failure:        # LinAlgError is a ValueError
         raise NotConvergedError(f"solver: {failure}; some part of the body may be held by nothing: add a FixedPlane or "
                                 "a Wall, keep the soft floor above zero, or use another solver.") from failure
     error = np.linalg.norm(system @ solution - rhs) if solution.shape == rhs.shape else np.inf

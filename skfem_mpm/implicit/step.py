@@ -26,6 +26,7 @@ from ..weights import weights
 from .engine import made_for
 from .fbar import averaged, cell_shares
 from .guards import check_yield, respond
+from .held import Parts, warn_of_bare_cells, warn_of_folds, warn_of_idle
 from .inertia import Inertia
 from .recovery import Recovery
 from .soft import softest_around
@@ -87,6 +88,7 @@ class Step:
         self.ring = options.radius == "domain" and particles.kinematics.hoop
         self.support = Support(mesh, _seen(mesh, particles, options), method, options.edges, state.boundary, self.ring,
                                options.integration.covers)
+        self.parts = Parts(self.support)
         self.operator, self.tangent_operator = self._operators()
         self.motion = self._motion(particles)
         self.soft = self._floor_stiffness() + self._ghost_stiffness()
@@ -190,6 +192,7 @@ class Step:
     def advance(self, share: float, load: Callable[[float], Any], done: float) -> State:
         """The state after ``share`` of a load step that starts ``done`` steps into the run."""
         walls = self._constraints(share)
+        self._check_held(walls)
         gravity = load(done + share)
         external = self._weight(gravity)
         if self.options.scheme == "incremental":
@@ -245,6 +248,17 @@ class Step:
         new = inertia.to_points(inertia.acceleration(unknowns))
         particles = replace(state.particles, velocity=inertia.velocity(velocity, old, new))
         return replace(state, particles=particles, acceleration=new, time=self.state.time + dt)
+
+    def _check_held(self, walls: Walls) -> None:
+        """Without inertia, boundaries and the control have to leave no part of the body free."""
+        if self.options.dt:
+            return
+        if self.state._recovery is None:
+            warn_of_idle(self.support)
+            warn_of_bare_cells(self.support)
+        control = self.state.control
+        rows = [walls.rows] if control is None else [walls.rows, control.row(self.support)]
+        self.parts.check_held(self.support, stack_rows(rows, len(self.support.free)))
 
     def _constraints(self, share: float) -> Walls:
         """Independent constraints by walls."""
@@ -405,6 +419,7 @@ class Step:
         if trouble:
             raise Retry(trouble)
         check_yield(self.material, response, old.x, self.state.step + 1, self.options.yields)
+        warn_of_folds(support, u, self.state.step + 1)
         volume = old.volume * response.ratio            # by the dilation that the stress knows of
         particles = replace(old, x=old.x + support.motion.to_points(u, plain=True), volume=volume,
                             sigma=response.sigma, epsilon=response.epsilon,
