@@ -42,6 +42,7 @@ class Run(Guarded):
         self.doing = start.step + 1
         self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
         self.kept, self.pieces = start.kept, Pieces()
+        self.pieces.look(self.grid.locate(particles.x), start.step)
         self.warned = start.dt == choices.dt               # a run that goes on has been told
         limited = choices.guards["moved"] != "off"
         self.farthest = np.array([step.min() if limited else np.inf for step in self.grid.steps])

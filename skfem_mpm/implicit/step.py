@@ -9,17 +9,15 @@ from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from scipy.sparse import csc_array, csr_array, hstack
+from scipy.sparse import csr_array, hstack
 from skfem import Mesh
 
 from ..checks import check_array
 from ..cover import spans_of
-from ..ghost import ghost_stiffness, young
-from ..grid import Grid, gauss_points
+from ..grid import Grid
 from ..integration import on_points
 from ..integration.dilation import AveragedPair, Means, shares_of
 from ..kinematics import STRAINS, carried, stretched
-from ..materials import LinearElastic
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
@@ -29,7 +27,7 @@ from .guards import check_yield, respond
 from .held import Parts, warn_of_bare_cells, warn_of_folds, warn_of_idle
 from .inertia import Inertia
 from .recovery import Recovery
-from .soft import softest_around
+from .soft import soft_stiffness
 from .solve import Factors, bordered, independent_rows, solve_constrained, solve_direct
 from .state import Options, State
 
@@ -91,7 +89,8 @@ class Step:
         self.parts = Parts(self.support)
         self.operator, self.tangent_operator = self._operators()
         self.motion = self._motion(particles)
-        self.soft = self._floor_stiffness() + self._ghost_stiffness()
+        self.soft = soft_stiffness(mesh, self.support, particles.kinematics, self._elastic(), self.motion.places,
+                                   options)
         self.inertia: Inertia | None = None      # of a time step
         self.factors = Factors()
 
@@ -141,46 +140,6 @@ class Step:
         if self.options.remedy == "none":
             return pair
         return AveragedPair(pair, Means(shares_of(support.grid, stencil), pair.volume))
-
-    def _floor_stiffness(self) -> csc_array:
-        """Soft stiffness of whole cells, with two Gauss points per axis; ordinary finite elements."""
-        support, kinematics = self.support, self.particles.kinematics
-        size = support.transfer.shape[0]
-        cells = np.stack(np.nonzero(support.sound))
-        if not self.options.floor or not cells.size:
-            return csc_array((size, size))
-        index, x, area = gauss_points(support.grid, cells)
-        volume = area * x[0] if kinematics.hoop else area
-        stencil = support.grid.linear(x, index)
-        moduli = self._floor_moduli(index)
-        floor = on_points(kinematics, stencil, stencil, volume, x[0])
-        return made_for(self.options.engine, floor).tangent(self.options.floor * moduli, support.number, size)
-
-    def _floor_moduli(self, cells: ndarray) -> ndarray:
-        """Moduli of the unstressed material in these cells; where dilation is averaged, without lateral contraction.
-
-        They are the mean ones of the body, scaled to the softest points around where these differ.  Nearly
-        incompressible moduli would lock in the floor.
-        """
-        elastic, support = self._elastic(), self.support
-        moduli, stiffness = elastic.mean(axis=2, keepdims=True), elastic[0, 0]
-        share: Any = 1.0
-        if (stiffness != stiffness[0]).any():
-            share = softest_around(support.occupied, support.index, stiffness, cells) / moduli[0, 0]
-        if self.options.remedy == "none":
-            return moduli * share
-        zero = np.zeros((self.particles.kinematics.ncomp, 1))
-        law = LinearElastic(E=young(moduli[:, :, 0], self.motion.places), nu=0.0)
-        return law.tangent(zero, zero, zero[:0], self.motion.places) * share
-
-    def _ghost_stiffness(self) -> csc_array:
-        """Penalty on jumps of the normal gradient at cut cells."""
-        support, size = self.support, self.support.transfer.shape[0]
-        if not self.options.ghost:
-            return csc_array((size, size))
-        elastic = self._elastic()
-        modulus = young(elastic[:, :, elastic[0, 0].argmin()], self.motion.places)      # of the softest point
-        return ghost_stiffness(self.mesh, support, support.occupied, self.options.ghost * modulus)
 
     def _elastic(self) -> ndarray:
         """Moduli of the unstressed material, ``(m, m, 1)`` or ``(m, m, n)``."""
