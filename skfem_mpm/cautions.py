@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from scipy.ndimage import label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from skfem import Mesh
 
 from .grid import Grid
@@ -87,31 +89,42 @@ def _of_contrast(stiffness: ndarray, grid: Grid, particles: Particles) -> list[s
 class Pieces:
     """Watches into how many pieces a body falls; empty cells all across it part them, and no stress crosses those.
 
+    Parameters
+    ----------
+    index
+        ``(dim, n)``; cells of the points at the start.
+
     Examples
     --------
-    >>> Pieces().count(np.array([[0, 1, 3, 4, 9]]))
+    >>> Pieces(np.array([[0, 1, 3, 4, 9]])).least
     3
     """
 
-    def __init__(self) -> None:
-        self.least: int | None = None
-        self.told = False
+    def __init__(self, index: ndarray) -> None:
+        self.least, self.told = self.count(index), False
 
-    def count(self, index: ndarray) -> int:
+    @staticmethod
+    def count(index: ndarray) -> int:
         """Into how many pieces points in these cells ``(dim, n)`` are parted."""
-        place = index - index.min(axis=1, keepdims=True)
-        occupied = np.zeros(place.max(axis=1) + 1, dtype=bool)
-        occupied[tuple(place)] = True
-        return int(label(occupied, np.ones((3,) * len(place)))[1])
+        place = index - index.min(axis=1, keepdims=True) + 1
+        number = np.full(place.max(axis=1) + 2, -1)             # an empty cell all around
+        cells = np.unique(np.ravel_multi_index(tuple(place), number.shape))
+        number.flat[cells] = np.arange(len(cells))
+        stride = np.cumprod((1, *number.shape[:0:-1]))[::-1]
+        offsets = np.array(list(itertools.product((-1, 0, 1), repeat=len(index)))) @ stride
+        near = number.flat[cells + offsets[offsets > 0][:, None]]
+        here, there = np.broadcast_to(np.arange(len(cells)), near.shape)[near >= 0], near[near >= 0]
+        links = coo_array((np.ones(len(here)), (here, there)), shape=(len(cells),) * 2)
+        return int(connected_components(links, directed=False)[0])
 
     def look(self, index: ndarray, step: int, stacklevel: int = 2) -> None:
         """Warn if there are more pieces than there ever were; once."""
         if self.told:
             return
         count = self.count(index)
-        if self.least is not None and count > self.least:
+        if count > self.least:
             self.told = True
             warnings.warn(f"step {step}: the body has come apart: empty cells part {count} pieces, and there were "
                           f"{self.least}.  If it should not break there, points are too far from each other; use "
                           "larger cells, or more points in a cell.", UserWarning, stacklevel=stacklevel + 1)
-        self.least = count if self.least is None else min(count, self.least)
+        self.least = min(count, self.least)

@@ -171,5 +171,5 @@ def test_bodies_that_fly_apart(engine, start, warned):
 
 
 def test_pieces_are_counted_over_edges_and_corners():
-    assert Pieces().count(np.array([[0, 1, 5], [0, 1, 0]])) == 2
-    assert Pieces().count(np.array([[7], [3]])) == 1
+    assert Pieces.count(np.array([[0, 1, 5], [0, 1, 0]])) == 2
+    assert Pieces.count(np.array([[7], [3]])) == 1

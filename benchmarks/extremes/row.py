@@ -19,6 +19,7 @@ REMEDIES = {
     # explicit steps
     "usl": {"integrator": "usl"},
     "usf": {"integrator": "usf"},
+    "usavg": {"integrator": "usavg"},
     "pic 1 %": {"flip": 0.99},
     "xpic 2": {"xpic": 2},
     "tpic": {"tpic": True, "flip": 0.0},

@@ -116,7 +116,7 @@ def beyond(choices, quick):
 
 
 TOO_LONG = "times the energy|inside out|more than|no longer finite"
-TRANSFERS = ("usl", "usf", "pic 1 %", "xpic 2", "tpic")
+TRANSFERS = ("usl", "usf", "usavg", "pic 1 %", "xpic 2", "tpic")
 OTHERS = (*TRANSFERS, "b-bar", "twin", "dual")
 ROWS = [
     Row("sure bound, 500 layouts on lines",
@@ -143,7 +143,7 @@ ROWS = [
     Row("0.1 to 0.9 of the exact step",
         """A block rings at steps of 0.1, 0.3, 0.5, 0.7, 0.8 and 0.9 of the exact limit, in one to three dimensions, its
         points off their quarter points; what its mean energy gains from the first half of 2000 steps to the second.""",
-        drift, holds=0.05, useless=1.0, remedies=TRANSFERS, must=True, warns="times the energy|waves grow",
+        drift, holds=0.05, useless=1.0, remedies=TRANSFERS, must=True, warns="times the|waves grow",
         stops="times the energy"),
     Row("1.05 and 1.2 of the exact step", "The same block with steps that are too long; how many of these runs go on.",
         beyond, holds=0.0, useless=0.0, remedies=TRANSFERS, stops=TOO_LONG),

@@ -41,8 +41,7 @@ class Run(Guarded):
         self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
         self.doing = start.step + 1
         self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
-        self.kept, self.pieces = start.kept, Pieces()
-        self.pieces.look(self.grid.locate(particles.x), start.step)
+        self.kept, self.pieces = start.kept, Pieces(self.grid.locate(particles.x))
         self.warned = start.dt == choices.dt               # a run that goes on has been told
         limited = choices.guards["moved"] != "off"
         self.farthest = np.array([step.min() if limited else np.inf for step in self.grid.steps])

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
-from scipy.ndimage import minimum_filter
 from scipy.sparse import csc_array
 from skfem import Mesh
 
@@ -95,8 +95,9 @@ def softest_around(occupied: ndarray, index: ndarray, stiffness: ndarray, cells:
     >>> softest_around(occupied, index, np.array([1e8, 2.0, 1e8]), np.array([[0, 1, 2, 3]])).tolist()
     [2.0, 100000000.0, 100000000.0, 2.0]
     """
-    least = np.full(occupied.shape, np.inf)
-    np.minimum.at(least, tuple(index), stiffness)
-    around = minimum_filter(least, size=3, mode="constant", cval=np.inf)
-    found = np.where(occupied, least, around)[tuple(cells)]
+    least = np.full(np.add(occupied.shape, 2), np.inf)           # with an empty cell all around
+    np.minimum.at(least, tuple(index + 1), stiffness)
+    around = np.min([least[tuple(cells + 1 + np.array(offset)[:, None])]
+                     for offset in itertools.product((-1, 0, 1), repeat=len(cells))], axis=0)
+    found = np.where(occupied[tuple(cells)], least[tuple(cells + 1)], around)
     return np.where(np.isfinite(found), found, stiffness.min())
