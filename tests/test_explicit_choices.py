@@ -451,6 +451,24 @@ def test_a_bar_in_tension_stays_at_rest_but_where_slopes_change_and_strain_is_re
     assert (abs(state.particles.velocity).max() < 1e-5) == stays
 
 
+@pytest.mark.parametrize("engine", ["numpy", "auto"])
+@pytest.mark.parametrize("stress, more, told", [(30.0, {}, True), (30.0, {"xpic": 2}, False), (5.0, {}, False),
+                                                (30.0, {"integrator": "usl"}, False), (-30.0, {}, False)])
+def test_lasting_tension_is_told_once(engine, stress, more, told):
+    """Of a bar between planes; one that vibrates at four times the limit is not meant."""
+    body = Particles.fill(MeshLine(np.arange(10, 21) * 0.05), uniaxial)
+    mesh, law, ends = MeshLine(np.arange(41) * 0.05), LinearElastic(E=1e3, nu=0.0), [FixedPlane(0, 0.5, -1),
+                                                                                   FixedPlane(0, 1.0, 1)]
+    held = replace(body, sigma=np.full((1, body.n), stress))
+    ringing = replace(body, velocity=0.04 * np.sqrt(1e3) * np.sin(2 * np.pi * body.x))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        for body, planes in ((held, ends), (ringing, ())):
+            list(explicit_steps(mesh, body, law, planes, steps=1200, every=1200, engine=engine, **more))
+    said = [str(each.message) for each in said if "in tension" in str(each.message)]
+    assert len(said) == told and all("step 500: point" in text and "xpic=2" in text for text in said)
+
+
 def test_a_law_without_stiffness_needs_a_step():
     class Dust(LinearElastic):
         def update(self, strain, stress, history, components):

@@ -16,13 +16,15 @@ from ..cautions import Pieces
 from ..checks import UnstableError
 from ..grid import Grid
 from ..kinematics import Kinematics, beyond_yield
-from .state import Choices, ExplicitState
+from .state import Choices, ExplicitState, remaps
 
 LOOK_EVERY = 50    # steps
 SUSPECT = 2.0      # energy over what there was for it, from which a run warns
 RUNAWAY = 10.0     # and from which it stops
 ROUNDING = 1e-12   # share of the energy of the centre of mass that is not told from rounding
 REACH = 3.0        # cells from a plane within which it may hold the body
+PATIENCE = 500     # steps for which a point must be in tension: one that vibrates is so half of the time
+TENSE = 0.01       # tension as a share of the modulus from which bodies leave equilibrium in some thousand steps
 YIELD = 1e-6       # stress beyond yield as a share of strength: a return mapping that has converged is far below
 
 
@@ -51,7 +53,18 @@ class Guarded:
     history: ndarray
     slope: Any
     kept: ndarray | None
+    tense: ndarray | None    # (n,); least tension of the points of late, if that is watched
     pieces: Pieces
+
+    def _begin_watch(self, start: ExplicitState) -> None:
+        """What guards remember."""
+        choices = self.choices
+        self.pieces = Pieces(self.grid.locate(self.x))
+        self.warned = start.dt == choices.dt               # a run that goes on has been told
+        limited = choices.guards["moved"] != "off"
+        self.farthest = np.array([step.min() if limited else np.inf for step in self.grid.steps])
+        lags = remaps(choices.integrator, choices.tpic) and choices.flip == 1 and not choices.xpic
+        self.tense = np.full(self.x.shape[1], np.inf) if lags else None
 
     # -- numbers -----------------------------------------------------------------------------------------------------
 
@@ -129,6 +142,8 @@ class Guarded:
         self._check_energy(inner, limit)
         self._check_yield()
         self.pieces.look(self.grid.locate(self.x), self.doing)
+        if self.tense is not None:
+            self._check_tension(self.tense)
 
     alarmed = False
 
@@ -209,6 +224,26 @@ class Guarded:
     def _excess_of_yield(self) -> ndarray | None:
         """How far stress is beyond yield; nothing if the law does not say."""
         return beyond_yield(self.material, self.sigma, self.epsilon, self.history)
+
+    def _check_tension(self, tense: ndarray) -> None:
+        """Warn once of a point that stays in tension, which is negative damping where strain lags behind the points."""
+        stress = self.sigma[[k for k, (i, j) in enumerate(self.kinematics.components) if i == j < len(self.x)]]
+        np.minimum(tense, stress.max(axis=0), out=tense)
+        if self.doing % PATIENCE:
+            return
+        if not self.modulus:
+            zero = np.zeros_like(self.sigma)
+            moduli = self.material.tangent(zero, zero, self.history, self.kinematics.rows(len(self.x)))
+            self.modulus = float(moduli[0, 0].max())
+        if tense.max() > TENSE * self.modulus:
+            point, self.tense = self._first(tense == tense.max()), None
+            warnings.warn(f"{self._whereabouts(point)} has been in tension of {tense[point] / self.modulus:.3g} of its "
+                          f"modulus for {PATIENCE} steps, more than {TENSE:g}; a body in tension slowly leaves "
+                          "equilibrium, at any step.  Take xpic=2, or integrator='usl'.", UserWarning, stacklevel=2)
+        else:
+            tense[:] = np.inf
+
+    modulus = 0.0
 
     # -- words -------------------------------------------------------------------------------------------------------
 

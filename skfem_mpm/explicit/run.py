@@ -9,7 +9,6 @@ import numpy as np
 from numpy import ndarray
 from skfem import Mesh
 
-from ..cautions import Pieces
 from ..checks import OutsideGridError, check_positive
 from ..grid import Grid
 from ..kinematics import RATES, check_law, stretched
@@ -22,7 +21,8 @@ from .state import FIRST, LEDGER, Choices, ExplicitState, remaps
 from .twin import TwinNodes
 
 STORED = ("kinetic", "elastic")
-POINT_ARRAYS = ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope")
+POINT_ARRAYS = ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope",
+                "tense")
 
 
 class Run(Guarded):
@@ -41,10 +41,7 @@ class Run(Guarded):
         self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
         self.doing = start.step + 1
         self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
-        self.kept, self.pieces = start.kept, Pieces(self.grid.locate(particles.x))
-        self.warned = start.dt == choices.dt               # a run that goes on has been told
-        limited = choices.guards["moved"] != "off"
-        self.farthest = np.array([step.min() if limited else np.inf for step in self.grid.steps])
+        self.kept = start.kept
         method = choices.method
         bases = (method.mass, method.strain, method.force)
         reads_domains = self.covers or any(basis.reads_domains for basis in bases)
@@ -66,6 +63,7 @@ class Run(Guarded):
         motion.respond(np.zeros((len(self.symmetric), n)))              # a law that does not fit says so now
         if finite:
             self.epsilon = motion.start.copy()                          # stress given without strain stands for one
+        self._begin_watch(start)
         self._count_given(start)
         self.rests_on = material, start.boundary, replace(choices, load=None, guards={})
         if start.rests_on != self.rests_on:
