@@ -1,7 +1,8 @@
 """Where does each method hold, degrade or stop?  Measures every cell of the stability map and compares it.
 
     python benchmarks/stability_map.py              all cells; exits with 1 if one is worse than the committed map
-    python benchmarks/stability_map.py --quick      the same rows, smaller or shorter, against the committed quick map
+    python benchmarks/stability_map.py --quick      the same rows, smaller or shorter and without remedies, against the
+                                                    committed quick map; two minutes
     python benchmarks/stability_map.py --only NAME  rows with NAME in their name
     python benchmarks/stability_map.py --write      stores what it finds as the committed map, and draws the page
     python benchmarks/stability_map.py --draw       no runs: docs/stability.md from the committed map
@@ -36,11 +37,11 @@ def families():
     return {name: importlib.import_module(f"extremes.{name}") for name in FAMILIES}
 
 
-def jobs_of(only):
+def jobs_of(only, quick):
     """Family, row, method and remedy of every cell."""
     return [(name, number, method, remedy) for name, family in families().items()
             for number, row in enumerate(family.ROWS) if only.lower() in row.name.lower()
-            for method, remedy in row.cells]
+            for method, remedy in row.cells(quick)]
 
 
 def measure(job, quick):
@@ -93,7 +94,7 @@ def main(arguments=None):
     size = "quick" if options.quick else "full"
     if not options.draw:
         began = time.perf_counter()
-        jobs = jobs_of(options.only)
+        jobs = jobs_of(options.only, options.quick)
         found = measured(jobs, options.quick, options.workers)
         seconds = time.perf_counter() - began
         print(page.as_text(found))

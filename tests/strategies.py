@@ -189,7 +189,7 @@ def explicit_scenes(draw, calm=False, free=False):
     mesh, body, law, strain, width, wave = draw(bodies_at_speed(calm, edges))
     choices = {
         "method": draw(st.sampled_from(list(METHODS))), "strain": strain, "edges": edges,
-        "integrator": draw(st.sampled_from(["musl", "usl", "usf"])), "flip": draw(shares),
+        "integrator": draw(st.sampled_from(["musl", "usl", "usf", "usavg"])), "flip": draw(shares),
         "xpic": draw(st.integers(0, 3)), "tpic": draw(st.booleans()),
         "domains": draw(st.sampled_from(["fixed", "stretched"])), "radius": draw(st.sampled_from(["point", "domain"])),
         "integration": draw(st.sampled_from(["points", "points", "twin", "twin2", "dual"])),

@@ -245,6 +245,24 @@ def test_velocity_is_half_a_step_from_the_time_of_its_state():
 
 
 @pytest.mark.parametrize("method", ["mpm", "gimp", "cmpm-c"])
+def test_half_of_the_strain_before_the_force_makes_steps_second_order(method):
+    """Velocity, stress and position are of one time, and the error of energy is that of time too."""
+    scene = bar(8, drift=0.0)
+    exact = measured(scene, method, integrator="usavg", dt=0.002)
+    first, second = (measured(scene, method, integrator="usavg", dt=dt) for dt in (0.1, 0.05))
+    assert first["energy"] / second["energy"] == pytest.approx(4, rel=0.3)
+    assert abs(first["velocity"] - exact["velocity"]) < 0.3 * abs(measured(scene, method, dt=0.1)["velocity"]
+                                                                  - exact["velocity"])
+
+
+@pytest.mark.parametrize("method", ["mpm", "gimp", "cmpm-c"])
+def test_steps_that_are_symmetric_in_time_stand_crossings(method):
+    """Where the default integrator makes vibrations grow, or is stopped."""
+    found = measured(bar(96), method, integrator="usavg")
+    assert found["stress"] < 0.03 and found["energy"] < 2e-4
+
+
+@pytest.mark.parametrize("method", ["mpm", "gimp", "cmpm-c"])
 def test_a_moving_bar_has_the_energy_of_a_bar_at_rest(method):
     """Drift has a hundred million times as much; the change is that of velocities half a step off, first order."""
     for drift in (0.0, 1.25):

@@ -97,6 +97,8 @@ def test_engines_agree(dim, kinematics, law, method):
     {"tpic": True, "method": "gimp", "integrator": "usl"}, {"tpic": True, "method": "cmpm-c", "integrator": "usf"},
     {"remedy": "bbar"}, {"remedy": "bbar", "method": "gimp", "integrator": "usl"},
     {"remedy": "bbar", "method": "cmpm", "integrator": "usf"},
+    {"integrator": "usavg"}, {"integrator": "usavg", "method": "gimp", "flip": 0.9, "remedy": "bbar"},
+    {"integrator": "usavg", "method": "cmpm-c", "strain": "logarithmic", "damping": 0.1},
     {"remedy": "bbar", "method": "gimp", "tpic": True}], ids=str)
 def test_engines_agree_for_every_choice(choices):
     check_equal(*both(block(2, plane_strain), ELASTIC, **choices))
@@ -283,7 +285,7 @@ def test_points_that_leave_are_removed(method):
     check_identical(states[-1], rest[-1])
 
 
-@pytest.mark.parametrize("integrator", ["musl", "usl", "usf"])
+@pytest.mark.parametrize("integrator", ["musl", "usl", "usf", "usavg"])
 @pytest.mark.parametrize("method", ["mpm", "cmpm"])
 def test_a_point_that_turns_inside_out_or_runs_away_is_named(method, integrator):
     body = block(2, plane_strain)

@@ -38,7 +38,7 @@ LAW = LinearElastic(E=100.0, nu=0.3)
 SOIL = VonMises(E=100.0, nu=0.3, peak=2.0, residual=0.5, softening=-5.0)
 MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
 MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
-INTEGRATORS = ("musl", "usl", "usf")
+INTEGRATORS = ("musl", "usl", "usf", "usavg")
 FASTEST = "numba" if find_spec("numba") else "numpy"         # for long runs; test_engines says that they agree
 SYMMETRIC = [name for name, method in METHODS.items() if method.strain is method.force]
 ARRAYS = ("x", "volume", "mass", "velocity", "sigma", "history", "epsilon", "length")
@@ -253,7 +253,7 @@ def test_flight_is_straight_and_free_of_stress(method, integrator):
 # Light nodes
 
 @symmetric_methods
-@pytest.mark.parametrize("integrator", ["musl", "usf"])
+@pytest.mark.parametrize("integrator", ["musl", "usf", "usavg"])
 @pytest.mark.parametrize("offset", [1e-1, 1e-3, 1e-5, 1e-7, 1e-9, 1e-12, 0.0])
 def test_no_velocity_explodes_however_little_sticks_out(method, integrator, offset):
     """A stretched box springs back while its outer points graze faces of empty cells."""
@@ -591,7 +591,7 @@ def test_one_point_alone_in_a_cell_has_a_known_limit(share):
         run._refresh(nodes)
         steps[integrator] = run.dt
     assert_allclose(steps["usl"], np.sqrt(2) * 0.5 / 2 * np.sqrt(share * (1 - share)), rtol=1e-9)
-    assert_allclose([steps["musl"], steps["usf"]], 0.5 / 2, rtol=1e-9)
+    assert_allclose([steps["musl"], steps["usf"], steps["usavg"]], 0.5 / 2, rtol=1e-9)
 
 
 def test_a_uniform_bar_has_the_limit_of_a_cell():

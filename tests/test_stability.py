@@ -20,8 +20,9 @@ MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
 SYMMETRIC = [name for name, method in METHODS.items() if method.conjugate]
 FLUTTERING = [name for name in METHODS if name not in SYMMETRIC]
 PLANES = (FixedPlane(0, 0.0, -1), FixedPlane(1, 0.0, -1, (0, 1)))
-STEPS = [{}, {"integrator": "usf"}, {"integrator": "usl"}]
+STEPS = [{}, {"integrator": "usf"}, {"integrator": "usavg"}, {"integrator": "usl"}]
 TRANSFERS = [{"flip": 0.6}, {"flip": 0.0, "integrator": "usl"}, {"flip": 0.9, "integrator": "usf"}, {"xpic": 3},
+             {"flip": 0.5, "xpic": 2, "integrator": "usavg"},
              {"xpic": 2, "flip": 0.5, "integrator": "usl"}]
 SLOPES = [{"tpic": True, "flip": 0.0}, {"tpic": True}, {"tpic": True, "integrator": "usl", "flip": 0.3},
           {"tpic": True, "integrator": "usf", "xpic": 2}]

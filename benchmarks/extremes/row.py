@@ -86,10 +86,9 @@ class Row:
     stops: str = ""
     warns: str = ""
 
-    @property
-    def cells(self):
-        """Method and remedy of each cell."""
-        return [(method, remedy) for remedy in ("", *self.remedies) for method in self.methods]
+    def cells(self, quick):
+        """Method and remedy of each cell; the quick map has no remedies."""
+        return [(method, remedy) for remedy in ("", *(() if quick else self.remedies)) for method in self.methods]
 
 
 def evaluate(row, method, remedy, quick):

@@ -151,9 +151,9 @@ class Bar:
     def measure(self, states: Iterable[ExplicitState]) -> dict[str, float]:
         """Errors of a run; ``velocity`` is what a user sees, ``stress`` what tells methods apart.
 
-        A state has the velocity of half a step before its time (of half a step after it with ``usf``), and so has
-        ``energy`` its kinetic part: both fall with the time step to first order, however fine the grid.  ``stress`` and
-        (but with ``usf``) ``position`` are of the state's time; they say more of the grid.
+        A state has the velocity of half a step before its time (half a step after it with ``usf``, of its time with
+        ``usavg``), and so has ``energy`` its kinetic part: both fall with the time step to first order, however fine
+        the grid.  ``stress`` and (but with ``usf``) ``position`` are of the state's time; they say more of the grid.
 
         Parameters
         ----------
