@@ -24,7 +24,6 @@ that is stretched $\\lambda$ times is $\\ln\\lambda$; its points end up further 
 BAR = LinearElastic(E=1.0, nu=0.0)
 APART = "Newton|singular|residual|inside out|carries no mass|more than a cell|outside the grid|behind the plane"
 GAPS = "comes* apart"
-BOTH = ("stretched domains", "b-bar", "twin", "dual")
 
 
 # -- turns ------------------------------------------------------------------------------------------------------------
@@ -144,7 +143,7 @@ BREATHE = """A solid cylinder breathes in its lowest mode, eight cells to the ax
              after an eighth of the period, rms over points, in terms of the exact one."""
 CLOSE = ", the innermost points a billionth of a cell from it"
 NEAR = ", the innermost points a hundredth of a cell from it (the stable step falls in proportion)"
-RINGS = ("ring domains", "stretched domains", "twin", "dual")
+RINGS = ("ring domains",)
 
 ROWS = [
     Row("100 turns, logarithmic strain, explicit", TURNS.format("explicit"), partial(hundred_turns, solver="explicit"),
@@ -152,18 +151,18 @@ ROWS = [
     Row("100 turns, logarithmic strain, implicit", TURNS.format("implicit"), partial(hundred_turns, solver="implicit"),
         holds=1e-10, useless=1e-3, must=True),
     Row("a turn, logarithmic strain, explicit", "The same for one turn (quick: a quarter), with remedies.",
-        partial(a_turn, solver="explicit"), holds=1e-10, useless=1e-3, must=True, remedies=BOTH),
+        partial(a_turn, solver="explicit"), holds=1e-10, useless=1e-3, must=True),
     Row("a turn, logarithmic strain, implicit", "The same for one turn (quick: a quarter), with remedies.",
-        partial(a_turn, solver="implicit"), holds=1e-10, useless=1e-3, must=True, remedies=BOTH),
+        partial(a_turn, solver="implicit"), holds=1e-10, useless=1e-3, must=True),
     Row("a turn in steps of 1 degree, objective rate", SPUN.format("per turn"), one_turn, holds=0.01, useless=0.5),
     Row("order of that drift", SPUN.format("in steps of 2 and 1 degrees: how far the order is from one"),
         order_of_drift, holds=0.1, useless=0.5),
     Row("shear to 10, logarithmic strain, explicit", SHEAR.format("100 (quick: 25)", "logarithmic strain"),
         lambda choices, quick: sheared("explicit", choices, "logarithmic", 25 if quick else 100), holds=1e-9,
-        useless=0.1, remedies=("stretched domains", "twin")),
+        useless=0.1),
     Row("shear to 10, logarithmic strain, implicit", SHEAR.format("100 (quick: 25)", "logarithmic strain"),
         lambda choices, quick: sheared("implicit", choices, "logarithmic", 25 if quick else 100), holds=1e-9,
-        useless=0.1, remedies=("stretched domains", "twin")),
+        useless=0.1),
     Row("shear to 10, objective rate",
         SHEAR.format(250, "small strain of explicit steps, whose stress swings; the error is of first order in a step"),
         lambda choices, quick: sheared("explicit", choices, "small", 250), holds=0.03, useless=0.5),
@@ -195,9 +194,9 @@ ROWS = [
     Row("points near the axis, implicit", SQUEEZE.format(CLOSE), partial(squeezed, radius=1e-9), holds=0.05,
         useless=0.5, warns="over the axis", remedies=RINGS),
     Row("down to the axis, explicit", BREATHE.format(""), breathing_rod, holds=0.05, useless=0.5,
-        stops="times the energy", remedies=RINGS),
+        stops="times the energy"),
     Row("points near the axis, explicit", BREATHE.format(NEAR), partial(breathing_rod, radius=0.01), holds=0.05,
-        useless=0.5, stops="times the energy", remedies=RINGS),
+        useless=0.5, stops="times the energy"),
     Row("points on the axis", "The same with the innermost points on the axis, where a ring has no volume.",
         partial(squeezed, radius=0.0), holds=0.05, useless=0.5, stops="above zero|radius"),
 ]

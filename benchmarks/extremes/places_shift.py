@@ -62,7 +62,7 @@ def of_settlement(choices, quick):
 
 
 FREE = ("xpic 2",)
-HELD = ("eq10", "interior", "overlap", "field", "cubic", "twin", "dual", "ghost", "stretched domains")
+HELD = ("eq10", "interior", "overlap", "field", "field2", "cubic", "twin", "dual", "ghost")
 ROWS = [
     Row("the grid shifted against a bar that vibrates",
         """A free bar of 8 cells vibrates on grids with 50 offsets (5 in the quick map): largest less smallest first

@@ -23,7 +23,6 @@ REMEDIES = {
     "pic 1 %": {"flip": 0.99},
     "xpic 2": {"xpic": 2},
     "tpic": {"tpic": True, "flip": 0.0},
-    "damping": {"damping": 0.05},
     # both solvers
     "b-bar": {"remedy": "bbar"},
     "twin": {"integration": "twin"},
@@ -43,7 +42,6 @@ REMEDIES = {
     "dm-g, ghost": {"integration": "dm-g", "ghost": 0.1},
     "no floor": {"floor": 0.0},
     "ghost": {"ghost": 0.1},
-    "ghost, no floor": {"ghost": 0.1, "floor": 0.0},
 }
 
 
