@@ -69,9 +69,12 @@ def measured(jobs, quick, workers):
     return table
 
 
-def worse(found, known):
-    """Cells that are worse than they were, and such as are wrong without a word; a line each."""
-    lines = []
+def worse(found, known, whole=False):
+    """Cells that are worse than they were, wrong without a word, or gone from the ``whole`` map; a line each."""
+    lines = [f"{row} | {key}: gone" for row, cells in known.items() for key in cells
+             if whole and key not in found.get(row, {})]
+    if whole and not known:
+        lines.append("there is no committed map to compare with")
     for row, cells in found.items():
         for key, cell in cells.items():
             before = known.get(row, {}).get(key, {}).get("verdict", "")
@@ -101,7 +104,7 @@ def main(arguments=None):
         slow = sorted(((cell["seconds"], row, key) for row, cells in found.items() for key, cell in cells.items()),
                       reverse=True)[:5]
         print(f"{len(jobs)} cells in {seconds:.0f} s; the slowest: {slow}")
-        lines = worse(found, stored.get(size, {}))
+        lines = worse(found, stored.get(size, {}), whole=not options.only)
         print("\n".join(lines) if lines else f"none is worse than in the committed {size} map.")
         if not options.write:
             return 1 if lines else 0

@@ -87,44 +87,49 @@ def _of_contrast(stiffness: ndarray, grid: Grid, particles: Particles) -> list[s
 
 
 class Pieces:
-    """Watches into how many pieces a body falls; empty cells all across it part them, and no stress crosses those.
+    """Watches whether a body falls into pieces: points that were in one at the start and are in two now.
+
+    Empty cells all across a body part it, and no stress crosses those; functions of domains reach over one.
 
     Parameters
     ----------
     index
         ``(dim, n)``; cells of the points at the start.
+    reach
+        How many cells away a neighbour may be.
 
     Examples
     --------
-    >>> Pieces(np.array([[0, 1, 3, 4, 9]])).least
-    3
+    >>> Pieces(np.array([[0, 1, 3, 4, 9]]), reach=1).first.tolist()
+    [0, 0, 1, 1, 2]
     """
 
-    def __init__(self, index: ndarray) -> None:
-        self.least, self.told = self.count(index), False
+    def __init__(self, index: ndarray, reach: int) -> None:
+        self.reach, self.told = reach, False
+        self.first = self.of(index)
 
-    @staticmethod
-    def count(index: ndarray) -> int:
-        """Into how many pieces points in these cells ``(dim, n)`` are parted."""
-        place = index - index.min(axis=1, keepdims=True) + 1
-        number = np.full(place.max(axis=1) + 2, -1)             # an empty cell all around
-        cells = np.unique(np.ravel_multi_index(tuple(place), number.shape))
-        number.flat[cells] = np.arange(len(cells))
-        stride = np.cumprod((1, *number.shape[:0:-1]))[::-1]
-        offsets = np.array(list(itertools.product((-1, 0, 1), repeat=len(index)))) @ stride
-        near = number.flat[cells + offsets[offsets > 0][:, None]]
-        here, there = np.broadcast_to(np.arange(len(cells)), near.shape)[near >= 0], near[near >= 0]
-        links = coo_array((np.ones(len(here)), (here, there)), shape=(len(cells),) * 2)
-        return int(connected_components(links, directed=False)[0])
+    def of(self, index: ndarray) -> ndarray:
+        """In which piece each of some points is, in these cells ``(dim, n)``."""
+        place = index - index.min(axis=1, keepdims=True) + self.reach
+        shape = place.max(axis=1) + 1 + self.reach                  # empty cells all around
+        stride = np.cumprod((1, *shape[:0:-1]))[::-1]
+        cells, cell = np.unique(stride @ place, return_inverse=True)
+        around = np.array(list(itertools.product(range(-self.reach, self.reach + 1), repeat=len(index)))) @ stride
+        near = cells + around[around > 0][:, None]
+        found = np.minimum(np.searchsorted(cells, near), len(cells) - 1)
+        there = cells[found] == near
+        here = np.broadcast_to(np.arange(len(cells)), near.shape)[there]
+        links = coo_array((np.ones(len(here)), (here, found[there])), shape=(len(cells),) * 2)
+        return connected_components(links, directed=False)[1][cell]
 
-    def look(self, index: ndarray, step: int, stacklevel: int = 2) -> None:
-        """Warn if there are more pieces than there ever were; once."""
+    def look(self, index: ndarray, numbers: ndarray, step: int) -> None:
+        """Warn, once, if points of one piece are in two; ``numbers (n,)`` says which of the start they are."""
         if self.told:
             return
-        count = self.count(index)
-        if count > self.least:
+        now, before = self.of(index), self.first[numbers]
+        count = len(np.unique(before * (now.max() + 1) + now))
+        if count > len(np.unique(before)):
             self.told = True
-            warnings.warn(f"step {step}: the body has come apart: empty cells part {count} pieces, and there were "
-                          f"{self.least}.  If it should not break there, points are too far from each other; use "
-                          "larger cells, or more points in a cell.", UserWarning, stacklevel=stacklevel + 1)
-        self.least = min(count, self.least)
+            warnings.warn(f"step {step}: the body has come apart: empty cells part {count} pieces, which were "
+                          f"{len(np.unique(before))}.  If it should not break there, points are too far from each "
+                          "other; use larger cells, or more points in a cell.", UserWarning, stacklevel=3)

@@ -63,6 +63,8 @@ def numerical_tangent(law: Any, strain: ndarray, stress: ndarray, history: ndarr
         columns[row] = (above - below)[rows] / (2 * step)
     return np.stack([columns[row] for row in rows], axis=1)
 
+ROUNDING = 1e-6     # share of the shear modulus below which a strength is compared with rounding
+
 
 @dataclass(frozen=True)
 class LinearElastic:
@@ -336,16 +338,18 @@ class VonMises(LinearElastic):
         return np.sqrt(3) * np.where(slip > 0, mean, 0.0) * slip        # a cohesion without bound times no slip is none
 
     def excess(self, stress: ndarray, history: ndarray) -> ndarray:
-        r"""How far stress is beyond yield as a share of the strength, :math:`\sqrt{J_2} / c - 1`, ``(n,)``.
+        r"""How far stress is beyond yield as a share of the strength, :math:`(\sqrt{J_2} - c) / c`, ``(n,)``.
 
-        Not above zero but for rounding after a return; runs watch it.
+        Not above zero but for rounding after a return; runs watch it.  A millionth of :math:`G` is added to the
+        strength that it is a share of: where less is left, rounding of what was there before says more than the return.
 
         >>> law = VonMises(E=1.0, nu=0.0, peak=0.5, residual=0.5)
-        >>> law.excess(np.array([[0.0], [0.0], [0.0], [1.0]]), np.zeros((1, 1))).round(12).tolist()
+        >>> law.excess(np.array([[0.0], [0.0], [0.0], [1.0]]), np.zeros((1, 1))).round(5).tolist()
         [1.0]
         """
         _, q = self._mean_and_size(stress, PLANE if len(stress) == 4 else SPACE)
-        return q / (np.sqrt(3) * self._cohesion(history[0])) - 1
+        cohesion = self._cohesion(history[0])
+        return (q / np.sqrt(3) - cohesion) / (cohesion + ROUNDING * self.G)
 
     @staticmethod
     def _mean_and_size(stress: ndarray, components: Places) -> tuple[ndarray, ndarray]:

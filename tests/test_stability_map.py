@@ -5,12 +5,14 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 import stability_map  # noqa: E402
 from extremes import page  # noqa: E402
+from extremes.bodies import worst_of  # noqa: E402
 from extremes.row import MUST, VERDICTS, Row, evaluate, judge  # noqa: E402
 
 FAMILIES = stability_map.families()
@@ -79,10 +81,16 @@ def test_what_must_hold_does_so_now(name, method):
 @pytest.mark.parametrize("value, message, warned, verdict", [
     (0.5, "", [], "holds"), (1.0, "", [], "holds"), (1.5, "", [], "degrades"), (3.0, "", [], "wrong"),
     (3.0, "", ["a word"], "degrades"), (float("nan"), "", ["a word"], "wrong"), (None, "", [], ""),
-    (None, "UnstableError: step 3", [], "stops")])
+    (None, "UnstableError: step 3", [], "stops"), (None, "ValueError: shapes", [], "wrong")])
 def test_verdicts(value, message, warned, verdict):
-    row = Row("a row", "It says.", lambda choices, quick: value, holds=1.0, useless=2.0)
+    row = Row("a row", "It says.", lambda choices, quick: value, holds=1.0, useless=2.0, stops="step 3")
     assert judge(row, value, message, warned) == verdict
+
+
+@pytest.mark.parametrize("values", [(1.0, float("nan")), (float("nan"), 1.0)])
+def test_what_is_no_number_is_never_the_best(values):
+    assert np.isnan(worst_of(*values)) and np.isnan(worst_of(iter(values)))
+    assert worst_of(1.0, 3.0) == worst_of([1.0, 3.0]) == 3.0
 
 
 def test_a_map_that_is_worse_is_told():
@@ -96,6 +104,8 @@ def test_a_map_that_is_worse_is_told():
     assert stability_map.worse(cells("degrades"), cells("holds"))
     assert stability_map.worse(cells("wrong"), cells("wrong"))
     assert stability_map.worse(cells(""), cells("holds"))
+    assert stability_map.worse({}, cells("holds"), whole=True) and not stability_map.worse({}, cells("holds"))
+    assert stability_map.worse(cells("holds"), {}, whole=True)
 
 
 def test_the_script_exits_with_one_if_a_cell_is_worse(tmp_path, monkeypatch):

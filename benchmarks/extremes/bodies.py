@@ -40,6 +40,11 @@ def last(states):
     return state
 
 
+def worst_of(*values):
+    """The largest of some numbers, or of those that one iterable has; no number if one is none, which ``max`` hides."""
+    return float(np.max([*values[0]] if len(values) == 1 else values))
+
+
 def until(time, states):
     """The first of some states that is at a time, or past it."""
     return next(state for state in states if state.time >= time * (1 - 1e-9))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from extremes.bodies import FASTEST, LAW, MAKE, block, grid_of, last, mechanical, with_noise
+from extremes.bodies import FASTEST, LAW, MAKE, block, grid_of, last, mechanical, with_noise, worst_of
 from extremes.row import MUST, Row
 from skfem_mpm import explicit_steps
 from skfem_mpm.boundary import FixedPlane
@@ -66,7 +66,7 @@ def flight(choices, quick):
             if state.time * speed > crossings:
                 break
         way = state.particles.x - body.x - velocity * state.time
-        worst = max(worst, abs(way).max(), abs(state.particles.sigma).max())
+        worst = worst_of(worst, abs(way).max(), abs(state.particles.sigma).max())
     return worst
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from extremes import places_shift, places_thin
-from extremes.bodies import LAW, MOTION, block, grid_of, last, low_planes, pull, rms
+from extremes.bodies import LAW, MOTION, block, grid_of, last, low_planes, pull, rms, worst_of
 from extremes.row import Row
 from skfem_mpm import Particles, explicit_steps, implicit_steps
 from skfem_mpm.boundary import Wall
@@ -39,12 +39,12 @@ def flown(body, dim, steps, **choices):
 def astray(state, body):
     """Largest stress, and largest distance from the straight path, in cells."""
     path = body.x + 0.1 * state.time
-    return max(abs(state.particles.sigma).max(), abs(state.particles.x - path).max())
+    return worst_of(abs(state.particles.sigma).max(), abs(state.particles.x - path).max())
 
 
 def on_nodes(choices, quick):
     """Largest stress in a rigid flight."""
-    return max(abs(flown(nodal(dim, aside), dim, 20, **choices).particles.sigma).max()
+    return worst_of(abs(flown(nodal(dim, aside), dim, 20, **choices).particles.sigma).max()
                for dim in ((1, 2) if quick else (1, 2, 3)) for aside in ULPS)
 
 
@@ -60,7 +60,7 @@ def patch(choices, quick):
             wall = Wall(nodes, tuple(gradient @ nodes))
             state = next(implicit_steps(grid_of(dim, 2), body, LAW[dim], [wall], steps=1, strain="small", **choices))
             expected = stress_of(gradient, dim)[:, :, None]
-            worst = max(worst, abs(state.particles.stress - expected).max() / 1e-3)
+            worst = worst_of(worst, abs(state.particles.stress - expected).max() / 1e-3)
     return worst
 
 
@@ -80,7 +80,7 @@ def lone_flights(choices, quick):
 
 def lone_path(choices, quick):
     """Largest stress, and largest distance from the straight path."""
-    return max(astray(*flight) for flight in lone_flights(choices, quick))
+    return worst_of(astray(*flight) for flight in lone_flights(choices, quick))
 
 
 def lone_step(choices, quick):
@@ -89,7 +89,7 @@ def lone_step(choices, quick):
     for dim in (1, 2) if quick else (1, 2, 3):
         steps = [flown(lone(dim, 1 + away), dim, 1, **choices).dt for away in NEAR]
         ratios.append(max(steps) / min(steps))
-    return max(ratios)
+    return worst_of(ratios)
 
 
 def balance(choices, dims, heights):
@@ -101,7 +101,7 @@ def balance(choices, dims, heights):
             state = next(implicit_steps(grid_of(dim, 2), body, LAW[dim], low_planes(dim), steps=1, gravity=gravity,
                                         **choices))
             weight = body.mass.sum() * gravity[-1]
-            worst = max(worst, abs(state.reactions["base"][-1] / weight + 1))
+            worst = worst_of(worst, abs(state.reactions["base"][-1] / weight + 1))
     return worst
 
 
@@ -127,7 +127,7 @@ def sticking_out(dim, cells, over):
 
 def cover_in_flight(choices, quick):
     """Largest stress, and largest distance from the straight path."""
-    return max(astray(flown(body, dim, 20, **choices), body) for dim in ((1, 2) if quick else (1, 2, 3))
+    return worst_of(astray(flown(body, dim, 20, **choices), body) for dim in ((1, 2) if quick else (1, 2, 3))
                for body in sticking_out(dim, 2, OVER))
 
 
@@ -136,7 +136,7 @@ def compared(run, dim, cells):
     worst = 0.0
     for out, within in zip(sticking_out(dim, cells, OVER), sticking_out(dim, cells, -OVER)):
         for a, b in zip(run(out), run(within)):
-            worst = max(worst, rms(a - b) / rms(b))
+            worst = worst_of(worst, rms(a - b) / rms(b))
     return worst
 
 

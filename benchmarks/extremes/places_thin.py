@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from extremes.bodies import MAKE, MOTION, last, low_planes, pull, rms
+from extremes.bodies import MAKE, MOTION, last, low_planes, pull, rms, worst_of
 from extremes.row import Row
 from skfem_mpm import LinearElastic, Particles, explicit_steps, implicit_steps
 from skfem_mpm.boundary import FixedPlane
@@ -38,7 +38,7 @@ def vibrate(mesh, body, planes, start, **choices):
                             **choices)
     worst = 0.0
     for state in states:
-        worst = max(worst, vibration_error(state, start))
+        worst = worst_of(worst, vibration_error(state, start))
         if state.time > 2 * CELLS:
             return worst
 
@@ -56,7 +56,7 @@ def many_vibrating(choices, quick):
         for count in counts:
             mesh, body = rod(dim, count, drift=0.125)
             start = body.x[0]
-            worst = max(worst, vibrate(mesh, body, between_rollers(dim), start, **choices))
+            worst = worst_of(worst, vibrate(mesh, body, between_rollers(dim), start, **choices))
     return worst
 
 
@@ -66,7 +66,7 @@ def many_standing(choices, quick):
     for dim, counts in (FEW if quick else COUNTS).items():
         for count in counts:
             scene = column(0.1, dim=dim, steps=1, stretch=0.98, per_cell=count)
-            worst = max(worst, scene.error(last(scene.run(**choices))))
+            worst = worst_of(worst, scene.error(last(scene.run(**choices))))
     return worst
 
 
@@ -76,7 +76,7 @@ def narrow_vibrating(choices, quick):
     for aside in (0.5,) if quick else (1e-3, 0.5):
         mesh, body = rod(2, 2)
         x = body.x + np.array([[0.0], [aside]])
-        worst = max(worst, vibrate(mesh, replace(body, x=x), (), body.x[0], **choices))
+        worst = worst_of(worst, vibrate(mesh, replace(body, x=x), (), body.x[0], **choices))
     return worst
 
 
@@ -89,7 +89,7 @@ def narrow_standing(choices, quick):
         state = last(implicit_steps(mesh, wide, ELASTIC, low_planes(2), steps=1, gravity=pull(2), **choices))
         exact = np.zeros((3, 3, wide.n))
         exact[1, 1] = -1e-3 * (height - wide.x[1])
-        worst = max(worst, rms(np.linalg.norm(state.particles.stress - exact, axis=(0, 1))) / (1e-3 * height))
+        worst = worst_of(worst, rms(np.linalg.norm(state.particles.stress - exact, axis=(0, 1))) / (1e-3 * height))
     return worst
 
 
@@ -106,7 +106,7 @@ def single_standing(choices, quick):
         for count in (1, 2, 3):
             mesh, body = one_cell(dim, count)
             state = last(implicit_steps(mesh, body, ELASTIC, low_planes(dim), steps=1, gravity=pull(dim), **choices))
-            worst = max(worst, abs(mean_stress(state, dim) / -0.5e-3 - 1))
+            worst = worst_of(worst, abs(mean_stress(state, dim) / -0.5e-3 - 1))
     return worst
 
 
@@ -118,7 +118,7 @@ def single_vibrating(choices, quick):
             mesh, body = one_cell(dim, count)
             states = explicit_steps(mesh, body, ELASTIC, low_planes(dim), steps=75, gravity=pull(dim), dt=0.4,
                                     engine="numpy", **choices)
-            worst = max(worst, abs(np.mean([mean_stress(state, dim) for state in states]) / -0.5e-3 - 1))
+            worst = worst_of(worst, abs(np.mean([mean_stress(state, dim) for state in states]) / -0.5e-3 - 1))
     return worst
 
 

@@ -70,7 +70,7 @@ class Row:
     must
         Whether ``MUST`` have to hold.
     stops
-        Part (a pattern) of the message with which a run may stop here.
+        Part (a pattern) of the message with which a run may stop here; any other is wrong.
     """
 
     name: str
@@ -107,8 +107,8 @@ def evaluate(row, method, remedy, quick):
 
 def judge(row, value, message, warned):
     """One of ``VERDICTS``, or nothing where the question makes no sense."""
-    if message:
-        return "stops"
+    if message:                                                  # for another reason than it should is no answer
+        return "stops" if row.stops and re.search(row.stops, message) else "wrong"
     if value is None:
         return ""
     if value <= row.holds:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from extremes.bodies import MAKE, block, last
+from extremes.bodies import MAKE, block, last, worst_of
 from skfem_mpm import LinearElastic, implicit_steps
 from skfem_mpm.boundary import FixedPlane, Wall
 
@@ -55,7 +55,7 @@ def condition(dim):
             if size[-1] <= 1e-15 * size[0]:
                 answer(dim, cut, edge, choices)
                 return np.inf
-            worst = max(worst, size[0] / size[-1])
+            worst = worst_of(worst, size[0] / size[-1])
         return worst / np.linalg.cond(first_matrix(dim, 1.0, True, {"method": choices["method"]}))
     return measure
 
@@ -71,7 +71,7 @@ def answer(dim, cut, edge, choices):
 
 def error(dim):
     """Largest error over the cuts."""
-    return lambda choices, quick: max(answer(dim, cut, edge, choices) for cut, edge in positions(quick))
+    return lambda choices, quick: worst_of(answer(dim, cut, edge, choices) for cut, edge in positions(quick))
 
 
 def one_point_a_cell(choices, quick):
@@ -86,5 +86,5 @@ def one_point_a_cell(choices, quick):
                  Wall(np.stack([line, along]), (0.0, None), name="side")]
         state = last(implicit_steps(mesh, here, LAW, walls, steps=1, gravity=(0.0, -WEIGHT), **choices))
         exact = np.outer([0, 1, 0, 0], -WEIGHT * (CELLS - body.x[1]))
-        worst = max(worst, abs(state.particles.sigma - exact).max() / WEIGHT)
+        worst = worst_of(worst, abs(state.particles.sigma - exact).max() / WEIGHT)
     return worst

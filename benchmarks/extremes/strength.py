@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 from skfem import MeshQuad
 
-from extremes.bodies import last
+from extremes.bodies import last, worst_of
 from extremes.row import Row
 from skfem_mpm import Particles, VonMises, explicit_steps, implicit_steps, plane_strain
 from skfem_mpm.boundary import FixedPlane, Wall
@@ -53,7 +53,7 @@ def pressed(choices, quick, law):
     for state in implicit_steps(mesh, body, law, [FixedPlane(0, 0.0, -1), FixedPlane(1, 0.0, -1), side, lid],
                                 steps=steps, strain="small", **choices):
         exact = shear_strength(law, strain * state.step / steps)
-        worst = max(worst, abs(size(state.particles.sigma) - exact).max() / law.peak)
+        worst = worst_of(worst, abs(size(state.particles.sigma) - exact).max() / law.peak)
     return worst
 
 
@@ -70,7 +70,7 @@ def fallen(choices, quick, law, weight):
     state = last(explicit_steps(mesh, body, law, held, steps=60 if quick else 150, every=10 ** 9,
                                 gravity=(0.0, -weight / SIDE), **choices))
     kept = law._cohesion(state.particles.history[0])
-    return max(0.0, (size(state.particles.sigma) - kept).max() / law.peak)
+    return worst_of(0.0, (size(state.particles.sigma) - kept).max() / law.peak)
 
 
 def gained(choices, quick, law, weight):
@@ -79,7 +79,7 @@ def gained(choices, quick, law, weight):
     state = last(explicit_steps(mesh, body, law, held, steps=60 if quick else 150, every=10 ** 9,
                                 gravity=(0.0, -weight / SIDE), **choices))
     held = sum(state.energy[name] for name in ("kinetic", "elastic", "plastic"))
-    return max(0.0, held / state.energy["external"] - 1)
+    return worst_of(0.0, held / state.energy["external"] - 1)
 
 
 def standing(choices, quick, weight=0.1):

@@ -81,6 +81,11 @@ def share_of_flip(choices: Choices) -> float:
     return float(np.sqrt((1 + (0.0 if choices.xpic else choices.flip)) / 2))
 
 
+def chosen_step(stable: float, choices: Choices) -> float:
+    """The step that a run takes, knowing the one that is stable with FLIP."""
+    return float(choices.dt or min(choices.safety, share_of_flip(choices)) * stable)
+
+
 def block_norms(nodes: Nodes, moduli: ndarray, volume: ndarray) -> dia_array:
     """Norms of the blocks of the stiffness, ``(nnodes, nnodes)``."""
     if moduli.shape[2] > 1 and (moduli == moduli[:, :, :1]).all():

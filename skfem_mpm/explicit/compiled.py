@@ -169,7 +169,7 @@ class CompiledRun(Run):
         """Say what is wrong with which point, in the order of a step's parts; comes back if it is no reason to stop."""
         parts: list[Callable[[], None]] = [partial(self._check_finite, "velocity"),
                                            partial(self._check_volume, self.volume), self._check_stress]
-        for part in parts[1:] + parts[:1] if self.first == 1 else parts:
+        for part in parts[1:] + parts[:1] if self.first else parts:
             part()
         if not self._check_moved(self.ahead - self.x):
             size = np.abs(self.sigma).max(axis=0)
@@ -360,7 +360,7 @@ class CompiledRun(Run):
         if self.smooth:
             grad[self.diagonal] += self._excess(grad[self.diagonal])
         if self.law == "python":
-            if self.first < 1:
+            if not self.first:
                 self._check_finite("velocity")
             return self._respond(grad[:len(self.kinematics.rows(self.dim))])
         if self.stretches:
@@ -393,6 +393,10 @@ class CompiledRun(Run):
         """Where the first of some points is kept, the first in the user's order."""
         found = np.flatnonzero(mask)
         return int(found[self.order[found].argmin()])
+
+    def _numbers(self) -> ndarray:
+        """What the user calls the points, in the order in which they are kept."""
+        return super()._numbers()[self.order]
 
     def _number(self, point: int) -> int:
         """What the user calls a point: its number at the start."""

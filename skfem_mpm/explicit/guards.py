@@ -19,11 +19,12 @@ from ..kinematics import Kinematics, beyond_yield
 from .state import Choices, ExplicitState, remaps
 
 LOOK_EVERY = 50    # steps
+COUNT_EVERY = 200  # steps, of pieces
 SUSPECT = 2.0      # energy over what there was for it, from which a run warns
 RUNAWAY = 10.0     # and from which it stops
 ROUNDING = 1e-12   # share of the energy of the centre of mass that is not told from rounding
 REACH = 3.0        # cells from a plane within which it may hold the body
-PATIENCE = 500     # steps for which a point must be in tension: one that vibrates is so half of the time
+PATIENCE = 10      # looks that must find a point in tension: one that vibrates is so half of the time
 TENSE = 0.01       # tension as a share of the modulus from which bodies leave equilibrium in some thousand steps
 YIELD = 1e-6       # stress beyond yield as a share of strength: a return mapping that has converged is far below
 
@@ -55,11 +56,13 @@ class Guarded:
     kept: ndarray | None
     tense: ndarray | None    # (n,); least tension of the points of late, if that is watched
     pieces: Pieces
+    begun: ndarray           # (n,); numbers of the points that the run began with
 
     def _begin_watch(self, start: ExplicitState) -> None:
         """What guards remember."""
         choices = self.choices
-        self.pieces = Pieces(self.grid.locate(self.x))
+        self.pieces = Pieces(self.grid.locate(self.x), 1 + choices.method.force.reads_domains)
+        self.begun = np.arange(self.x.shape[1]) if self.kept is None else self.kept      # with these points
         self.warned = start.dt == choices.dt               # a run that goes on has been told
         limited = choices.guards["moved"] != "off"
         self.farthest = np.array([step.min() if limited else np.inf for step in self.grid.steps])
@@ -141,9 +144,8 @@ class Guarded:
                           f"{self._cure()}", UserWarning, stacklevel=2)
         self._check_energy(inner, limit)
         self._check_yield()
-        self.pieces.look(self.grid.locate(self.x), self.doing)
-        if self.tense is not None:
-            self._check_tension(self.tense)
+        if self.doing % COUNT_EVERY == 0:
+            self.pieces.look(self.grid.locate(self.x), np.searchsorted(self.begun, self._numbers()), self.doing)
 
     alarmed = False
 
@@ -225,31 +227,38 @@ class Guarded:
         """How far stress is beyond yield; nothing if the law does not say."""
         return beyond_yield(self.material, self.sigma, self.epsilon, self.history)
 
-    def _check_tension(self, tense: ndarray) -> None:
-        """Warn once of a point that stays in tension, which is negative damping where strain lags behind the points."""
-        stress = self.sigma[[k for k, (i, j) in enumerate(self.kinematics.components) if i == j < len(self.x)]]
-        np.minimum(tense, stress.max(axis=0), out=tense)
-        if self.doing % PATIENCE:
-            return
-        if not self.modulus:
-            zero = np.zeros_like(self.sigma)
-            moduli = self.material.tangent(zero, zero, self.history, self.kinematics.rows(len(self.x)))
-            self.modulus = float(moduli[0, 0].max())
-        if tense.max() > TENSE * self.modulus:
-            point, self.tense = self._first(tense == tense.max()), None
-            warnings.warn(f"{self._whereabouts(point)} has been in tension of {tense[point] / self.modulus:.3g} of its "
-                          f"modulus for {PATIENCE} steps, more than {TENSE:g}; a body in tension slowly leaves "
-                          "equilibrium, at any step.  Take xpic=2, or integrator='usl'.", UserWarning, stacklevel=2)
-        else:
-            tense[:] = np.inf
+    def _feel_tension(self) -> None:
+        """Warn once of a point that stays in tension, which is negative damping where strain lags behind the points.
 
-    modulus = 0.0
+        Looks are as far from each other as those at energy, and irregular, or a body that swings in time with them
+        would seem to stand still.
+        """
+        if self.tense is None or self.doing % LOOK_EVERY != 31 * (self.doing // LOOK_EVERY) % LOOK_EVERY:
+            return
+        rows = [k for k, (i, j) in enumerate(self.kinematics.components) if i == j < len(self.x)]
+        zero, self.looks = np.zeros_like(self.sigma), self.looks + 1
+        np.minimum(self.tense, self.sigma[rows].max(axis=0), out=self.tense)
+        if self.looks < PATIENCE:
+            return
+        share = self.tense / self.material.tangent(zero, zero, self.history, self.kinematics.rows(len(self.x)))[0, 0]
+        self.tense, self.looks = np.full_like(share, np.inf), 0
+        if share.max() > TENSE:
+            point, self.tense = self._first(share == share.max()), None
+            warnings.warn(f"{self._whereabouts(point)} has been in tension of {share[point]:.3g} of its modulus for "
+                          f"{PATIENCE * LOOK_EVERY} steps, more than {TENSE:g}; a body in tension slowly leaves "
+                          "equilibrium, at any step.  Take xpic=2, or integrator='usl'.", UserWarning, stacklevel=2)
+
+    looks = 0
 
     # -- words -------------------------------------------------------------------------------------------------------
 
     def _first(self, mask: ndarray) -> int:
         """Where the first of some points is kept, the first in the user's order."""
         return int(np.flatnonzero(mask)[0])
+
+    def _numbers(self) -> ndarray:
+        """What the user calls the points, in the order in which they are kept."""
+        return np.arange(self.x.shape[1]) if self.kept is None else self.kept
 
     def _number(self, point: int) -> int:
         """What the user calls a point: its number at the start."""

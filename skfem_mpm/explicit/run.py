@@ -12,7 +12,7 @@ from skfem import Mesh
 from ..checks import OutsideGridError, check_positive
 from ..grid import Grid
 from ..kinematics import RATES, check_law, stretched
-from .bound import share_of_flip, stable_step
+from .bound import chosen_step, share_of_flip, stable_step
 from .boxes import Boxes
 from .dilation import CellMeans
 from .guards import LOOK_EVERY, Guarded
@@ -108,6 +108,7 @@ class Run(Guarded):
             self._advance()
             if self.doing % LOOK_EVERY == 0:
                 self._watch()
+            self._feel_tension()
         self.step, self.time = self.doing, self.time + self.dt
 
     def _advance(self) -> None:
@@ -249,9 +250,8 @@ class Run(Guarded):
             raise ValueError(f"dt: found a stable step of {stable}, which is none: the tangent of the law has no "
                              "stiffness or is not finite, or units are beyond what numbers hold; look at the tangent, "
                              "or give dt.")
-        sure = stable * share_of_flip(self.choices)
-        self._check_step(sure)
-        self.dt = float(min(self.choices.safety * stable, sure) if dt is None else dt)
+        self._check_step(stable * share_of_flip(self.choices))
+        self.dt = chosen_step(stable, self.choices)
 
     # -- points that leave -------------------------------------------------------------------------------------------
 

@@ -295,7 +295,8 @@ def _load(gravity: Any, good: State, options: Options) -> Callable[[float], Any]
     """Gravity at any time of a step; in one that is cut a constant one grows in parts, from what acted before."""
     if callable(gravity):
         return gravity
-    if gravity is None or options.dt or good.control is not None:
+    given = good.gravity is None and good.particles.sigma is not None and good.particles.sigma.any()
+    if gravity is None or options.dt or good.control is not None or given:      # stress that is given stands for a load
         return lambda step: gravity
     before = 0.0 if good.gravity is None else np.asarray(good.gravity, dtype=float)
 

@@ -11,8 +11,10 @@ from scipy.sparse import block_array, csr_array, vstack
 from scipy.sparse.csgraph import connected_components
 
 from ..checks import NotConvergedError
+from ..particles import Particles
 from ..support import Support
 
+MOST = 0.8      # share of a cell that a point may come to fill
 LOOSE = 1e-9    # a rigid motion is free if this share of the best held one is all that boundaries see of it
 
 
@@ -70,8 +72,8 @@ def warn_of_idle(support: Support) -> None:
     for plane in support.planes:
         if not plane.fixes(support.grid)[:, support.solved_nodes].any():
             warnings.warn(f"plane {plane.name!r}: no node of the body is on the plane at {plane.at:g} along axis "
-                          f"{plane.axis}, so it holds nothing; it should be a grid line that the body reaches.",
-                          UserWarning, stacklevel=5)
+                          f"{plane.axis}, so it holds nothing yet; if it should, put it on a grid line that the body "
+                          "reaches.", UserWarning, stacklevel=5)
 
 
 def warn_of_bare_cells(support: Support) -> None:
@@ -94,6 +96,20 @@ def warn_of_folds(support: Support, u: ndarray, step: int) -> None:
         place = ", ".join(f"{value:g}" for value in middle[:, folded[0]])
         warnings.warn(f"step {step}: the cell around ({place}) is turned inside out, and the points in it do not feel "
                       "that; what they say is of no use there.  Try ghost=0.1, smaller steps, or more points.",
+                      UserWarning, stacklevel=5)
+
+
+def warn_of_too_few(support: Support, old: Particles, volume: ndarray, step: int) -> None:
+    """Warn where points have come to stand for most of a cell each: stress between them is then lost bit by bit."""
+    grid = support.grid
+    cell = np.prod([size[i] for size, i in zip(grid.steps, support.index)], axis=0)
+    cell = cell * old.x[0] if old.kinematics.hoop else cell
+    share = volume / cell
+    if (old.volume / cell).max() <= MOST < share.max():
+        point = int(share.argmax())
+        warnings.warn(f"step {step}: point {point} at {_place(support, point)} has been stretched to "
+                      f"{share[point]:.2g} of its cell, more than {MOST:g}; points are getting too few to fill their cells, and stress is "
+                      "lost.  Use more points, a coarser grid, or domains='stretched' with a method that has domains.",
                       UserWarning, stacklevel=5)
 
 

@@ -24,7 +24,7 @@ from ..weights import weights
 from .engine import made_for
 from .fbar import averaged, cell_shares
 from .guards import check_yield, respond
-from .held import Parts, warn_of_bare_cells, warn_of_folds, warn_of_idle
+from .held import Parts, warn_of_bare_cells, warn_of_folds, warn_of_idle, warn_of_too_few
 from .inertia import Inertia
 from .recovery import Recovery
 from .soft import soft_stiffness
@@ -379,6 +379,8 @@ class Step:
             raise Retry(trouble)
         check_yield(self.material, response, old.x, self.state.step + 1, self.options.yields)
         warn_of_folds(support, u, self.state.step + 1)
+        if self.options.domains == "fixed" and not self.options.integration.covers:
+            warn_of_too_few(support, old, old.volume * response.ratio, self.state.step + 1)
         volume = old.volume * response.ratio            # by the dilation that the stress knows of
         particles = replace(old, x=old.x + support.motion.to_points(u, plain=True), volume=volume,
                             sigma=response.sigma, epsilon=response.epsilon,

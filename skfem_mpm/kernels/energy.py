@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from ..materials import ROUNDING
 from .options import OPTIONS
 
 U = np.uint64
@@ -36,7 +37,7 @@ def inner(mass, velocity, mean, sigma, volume, lam, shear):
 @njit(**OPTIONS)
 def beyond_yield(sigma, eps_p, constants, tolerance):
     """How many points are beyond the yield surface of von Mises, or not known to be within."""
-    _, _, peak, residual, softening = constants
+    _, shear, peak, residual, softening = constants
     count = 0
     for q in range(len(eps_p[0])):
         p = U(q)
@@ -47,6 +48,7 @@ def beyond_yield(sigma, eps_p, constants, tolerance):
             square += deviator * deviator
         for k in range(3, len(sigma)):
             square += 2 * sigma[k, p] * sigma[k, p]
-        cohesion = (1 + tolerance) * max(residual, peak + softening * eps_p[0, p])
+        cohesion = max(residual, peak + softening * eps_p[0, p])
+        cohesion += tolerance * (cohesion + ROUNDING * shear)
         count += not square / 2 <= cohesion * cohesion
     return count

@@ -12,6 +12,7 @@ from scipy.ndimage import binary_fill_holes
 from skfem import Mesh
 
 from ..explicit import ExplicitState, run_before_its_start
+from ..explicit.bound import chosen_step
 from ..explicit.nodes import Nodes
 from ..explicit.run import Run
 from ..particles import Particles
@@ -115,7 +116,7 @@ def diagnose(mesh: Mesh, start: Particles | ExplicitState, material: Any, bounda
     heavy = nodes.mass[nodes.active]
     return Diagnosis(run.x.shape[1], len(count), (int(count.min()), float(np.median(count)), int(count.max())),
                      _holes(nodes), float(cover.min()), float(heavy.min() / np.median(heavy)), len(nodes.light), step,
-                     float(run.choices.dt or run.choices.safety * usual_step(Layout(run))), found,
+                     chosen_step(usual_step(Layout(run)), run.choices), found,
                      run._stored(), run.choices.damping)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from skfem import Mesh
 
 from ..explicit import ExplicitState, run_before_its_start
+from ..explicit.bound import chosen_step
 from ..explicit.prepare import check_spans
 from ..particles import Particles
 from .layout import Layout
@@ -177,7 +178,7 @@ def growth(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundary
     check_spans({"dt": dt})
     layout = _layout(mesh, start, material, boundary, choices)
     spectrum = Spectrum(layout)
-    step = float(dt or layout.choices.safety * usual_step(layout))
+    step = float(dt or chosen_step(usual_step(layout), layout.choices))
     radius = spectrum.radius(step)
     rate, cause = float(np.log(radius)) / step, "none"
     if spectrum.grows(step):
