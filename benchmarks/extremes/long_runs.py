@@ -22,7 +22,7 @@ TENSION = 0.03
 
 def ringing(choices, steps, drift):
     """States of a block that rings and drifts across the grid, ``drift`` cells per thousand steps or so."""
-    room = int(drift * steps / 1000) + 8
+    room = int(1.2 * drift * steps / 1000) + 8
     mesh = MAKE[2](np.arange(-4.0, CELLS + room), np.arange(-4.0, CELLS + 5))
     body = with_noise(block(2, CELLS, shift=0.24), NOISE)
     body = replace(body, velocity=body.velocity + [[2.5e-3 * drift], [0.0]])

@@ -22,7 +22,8 @@ that is stretched $\\lambda$ times is $\\ln\\lambda$; its points end up further 
 """
 
 BAR = LinearElastic(E=1.0, nu=0.0)
-APART = "nothing holds|Newton|singular|residual|inside out|carries no mass|more than a cell|outside the grid|behind the plane"
+APART = ("nothing holds|Newton|singular|residual|inside out|carries no mass|more than a cell|outside the grid|"
+         "behind the plane")
 GAPS = "comes* apart|too few"
 
 

@@ -136,6 +136,7 @@ class Guarded:
         """Look at energy and yield, and note the most that there was for motion and strain."""
         inner, available, noise = self._balance()
         self.work["peak"] = max(self.work["peak"], available)               # what is not a number stays so
+        self.work["most"] = self.work["external"]
         limit = self.work["peak"] + noise
         if inner > SUSPECT * limit and not self.alarmed and self.choices.guards["energy"] != "off":
             self.alarmed = True
@@ -166,7 +167,7 @@ class Guarded:
         """
         mean = self._drift()
         carried = float(mean @ (self.velocity @ self.mass) - self.mass.sum() * mean @ mean / 2)
-        external, removed = self.work["external"], np.nan_to_num(self.work["removed"])
+        external, removed = self.work["most"], np.nan_to_num(self.work["removed"])
         available = self.work["start"] + external - removed - carried
         return self._inner(mean), available, ROUNDING * (carried + abs(external))
 

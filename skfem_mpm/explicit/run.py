@@ -106,6 +106,7 @@ class Run(Guarded):
         with np.errstate(invalid="ignore", over="ignore"):
             self._check_start()
             self._advance()
+            self.work["most"] = max(self.work["most"], self.work["external"])
             if self.doing % LOOK_EVERY == 0:
                 self._watch()
             self._feel_tension()

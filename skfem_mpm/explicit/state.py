@@ -18,7 +18,7 @@ from ..particles import Particles
 # What each guard of a run can do, first what it does if nothing is said.
 GUARDS = {"step": ("warn", "stop", "off"), "moved": ("stop", "warn", "off"), "energy": ("stop", "warn", "off"),
           "yield": ("stop", "warn", "off")}
-LEDGER = ("start", "peak", "external", "plastic", "damped", "removed")
+LEDGER = ("start", "peak", "most", "external", "plastic", "damped", "removed")
 
 FIRST = {"usf": 1.0, "usavg": 0.5}     # share of a step's strain that stress follows before the force; the rest after
 
@@ -43,7 +43,8 @@ class ExplicitState:
         ``kinetic`` and ``elastic`` now; their sum at the ``start``; work since then, ``external``, ``plastic`` and
         ``damped``; what points took along that left the mesh, ``removed``; and ``peak``, the most that was ever there
         to become elastic energy and motion about the centre of mass: what was given less what is in the motion of the
-        centre of mass (as of the guards' last look; not a number if nothing is known of it).
+        centre of mass (as of the guards' last look; not a number if nothing is known of it); ``most``, the largest
+        external work since that look.
     engine
         What computed it, ``numpy`` or ``numba``.
     order

@@ -108,9 +108,9 @@ def warn_of_too_few(support: Support, old: Particles, volume: ndarray, step: int
     if (old.volume / cell).max() <= MOST < share.max():
         point = int(share.argmax())
         warnings.warn(f"step {step}: point {point} at {_place(support, point)} has been stretched to "
-                      f"{share[point]:.2g} of its cell, more than {MOST:g}; points are getting too few to fill their cells, and stress is "
-                      "lost.  Use more points, a coarser grid, or domains='stretched' with a method that has domains.",
-                      UserWarning, stacklevel=5)
+                      f"{share[point]:.2g} of its cell, more than {MOST:g}; points are getting too few to fill their "
+                      "cells, and stress is lost.  Use more points, a coarser grid, or domains='stretched' with a "
+                      "method that has domains.", UserWarning, stacklevel=5)
 
 
 def _check_part(support: Support, rows: csr_array, nodes: ndarray, point: int) -> None:
