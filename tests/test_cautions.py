@@ -183,7 +183,8 @@ def test_bodies_that_meet_and_part_have_not_come_apart():
     right = body.x > 1
     body = replace(body, x=body.x + 2.0 * right - 0.5, velocity=np.where(right, -0.03, 0.03))
     with warnings.catch_warnings():
-        warnings.simplefilter("error")
+        warnings.filterwarnings("error", message=".*come apart")
+        warnings.filterwarnings("ignore", message=".*times the")        # a blow between cells gives energy
         *_, state = explicit_steps(MeshLine(np.arange(-40.0, 40)), body, UNIT, steps=400, engine="numpy")
     assert (np.diff(state.particles.velocity[0][[0, -1]]) > 0).all()             # they have met
 

@@ -171,13 +171,24 @@ def test_a_bar_that_comes_apart_says_so_or_stops(method):
             assert lost
         except NotConvergedError as stop:
             assert "nothing holds" in str(stop) and stop.state.step > 3
-    assert not any(f"step {step}:" in str(each.message) for step in range(1, 5) for each in heard)
+    apart = [str(each.message) for each in heard if "comes apart" in str(each.message)]
+    assert not any(f"step {step}:" in text for step in range(1, 5) for text in apart)
+
+
+@every_method
+def test_points_that_get_too_few_are_told_before_the_bar_breaks(method):
+    """Once, at a stretch where half of a cell has become most of it."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        list(pulled(method, 5))
+    texts = [str(each.message) for each in heard]
+    assert len(texts) == 1 and "getting too few" in texts[0]
 
 
 def test_a_body_in_one_piece_is_not_said_to_come_apart():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for _ in pulled("gimp", 6):
+        for _ in pulled("gimp", 6, domains="stretched"):
             pass
 
 

@@ -91,7 +91,8 @@ Each row is an extreme, each cell what was measured there.
 
 - 🟩 **holds**: within the limit that the row states.
 - 🟨 **degrades**: beyond that limit and still of use; or worse, and the run said so.
-- 🟦 **stops**: the run ended with an error that names the step, the point and the cure; the last state is kept.
+- 🟦 **stops**: the run ended with an error that says where, why and what to do, and keeps its last good state; or the
+  set-up was refused before the first step.
 - 🟥 **wrong**: an answer of no use, given without a word. There is no such cell.
 - ⚠: the run warned of it. –: the question makes no sense there.
 

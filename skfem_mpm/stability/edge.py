@@ -89,11 +89,10 @@ def critical_step(mesh: Mesh, start: Particles | ExplicitState, material: Any, b
     r"""The largest stable time step of an explicit run, of a layout of points that stay where they are.
 
     The layout is at rest and free of stress, and the law linear, as stiff as it is at rest.  The exact limit is that
-    of the eigenvalues of the whole step, :math:`2 / \omega_{\max}` with FLIP and ``musl`` or ``usf``, in any
+    of the eigenvalues of the whole step, :math:`2 / \omega_{\max}` with FLIP and not ``usl``, in any
     dimension, with every transfer, method, remedy and integration.  The bound comes from norms of blocks of
     :math:`M^{-1} C M^{-1} K` and is at least as long as the one that runs take (:func:`skfem_mpm.explicit_steps`,
-    which hold to a cheaper one, are shorter still by ``safety``), but for PIC and XPIC, which need shorter steps than
-    FLIP.
+    which hold to a cheaper one, are shorter still by ``safety``).
 
     Parameters
     ----------

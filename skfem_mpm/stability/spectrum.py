@@ -7,15 +7,15 @@ With :math:`V` the grid's velocity of what points carry, :math:`g = \Delta t\, M
           F = \alpha \big(1 - (1 - C)^m\big) + (1 - \alpha)\, C ,
 
 where :math:`\alpha` is ``flip``, :math:`m` the order of XPIC, and :math:`F = \alpha + (1 - \alpha) C` without it.
-``usf`` does the same from another start, and ``usl`` has :math:`g' = g + \Delta t^2 K (V - g)`.  With TPIC there is
-:math:`W' = H (V + W - g)` too, and strain sees :math:`V' + W'`.
+``usf`` and ``usavg`` do the same from another start, and ``usl`` has :math:`g' = g + \Delta t^2 K (V - g)`.  With TPIC
+there is :math:`W' = H (V + W - g)` too, and strain sees :math:`V' + W'`.
 
 Where :math:`K` is symmetric, eigenvalues leave the unit circle at -1 only, since :math:`C \le F \le 1`.  There
 
 .. math:: \Delta t^2 = \frac{2}{\lambda_{\max}(K X)}, \qquad X = \frac{C}{1 + F} \quad\text{or with ``usl``}\quad
           X = 1 - \frac{C}{1 + F} .
 
-With FLIP, ``musl`` and ``usf`` are a leapfrog: eigenvalues solve :math:`z^2 - (2 - \Delta t^2 \mu) z + 1 = 0` with
+With FLIP, all but ``usl`` are a leapfrog: eigenvalues solve :math:`z^2 - (2 - \Delta t^2 \mu) z + 1 = 0` with
 :math:`\mu` of :math:`C K`.  Where these are complex, which takes an unsymmetric :math:`K`, waves grow at any step.
 """
 
