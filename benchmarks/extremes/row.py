@@ -36,10 +36,7 @@ REMEDIES = {
     "field": {"integration": "field"},
     "field2": {"integration": "field2"},
     "cubic": {"integration": "cubic"},
-    "dm": {"integration": "dm"},
-    "dm-g": {"integration": "dm-g"},
     "dm, ghost": {"integration": "dm", "ghost": 0.1},
-    "dm-g, ghost": {"integration": "dm-g", "ghost": 0.1},
     "no floor": {"floor": 0.0},
     "ghost": {"ghost": 0.1},
 }

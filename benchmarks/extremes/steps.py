@@ -115,13 +115,13 @@ def beyond(choices, quick):
     raise stop
 
 
-TOO_LONG = "times the energy|inside out|more than|no longer finite"
+TOO_LONG = "times the energy|inside out|more than a cell|no longer finite|leaves the grid"
 ROWS = [
     Row("sure bound, 500 layouts on lines",
         "How many times the sure bound the exact limit is, in the worst layout; infinite if the bound is not safe.",
-        slack(1), holds=1 / 0.7, useless=10.0, methods=MUST, remedies=("usl",)),
+        slack(1), holds=1 / 0.7, useless=10.0, methods=MUST),
     Row("sure bound, 500 layouts in the plane", "The same in plane strain.",
-        slack(2), holds=1 / 0.6, useless=10.0, methods=MUST, remedies=("usl",)),
+        slack(2), holds=1 / 0.6, useless=10.0, methods=MUST),
     Row("sure bound, 25 layouts in space", "The same in 3-D.",
         slack(3), holds=2.0, useless=10.0, methods=MUST),
     Row("sure bound, 500 layouts of rings", "The same in axial symmetry.",
@@ -129,21 +129,21 @@ ROWS = [
     Row("step of a run, 500 layouts on lines",
         """The longest step that a run allows itself (`safety=1`) as a share of the exact limit, in the layout where
         that is most.""",
-        taken(1), holds=1 + 1e-6, useless=1.1, methods=MUST,
-        remedies=("usl", "usavg", "pic 1 %", "xpic 2", "tpic")),
+        taken(1), holds=1 + 1e-6, useless=1.1, methods=MUST, remedies=("xpic 2",)),
     Row("step of a run, 500 layouts in the plane", "The same in plane strain.",
-        taken(2), holds=1 + 1e-6, useless=1.1, methods=MUST, remedies=("usl", "xpic 2")),
+        taken(2), holds=1 + 1e-6, useless=1.1, methods=MUST),
     Row("growth at the default step, 500 layouts on lines",
         """Largest growth of any wave in the step that a run takes, the logarithm of its spectral radius: what is not
         zero here is flutter, of which runs warn at their start.""",
-        rate(1), holds=1e-6, useless=np.inf, remedies=("usl", "xpic 2", "tpic")),
+        rate(1), holds=1e-6, useless=np.inf, remedies=("usl", "xpic 2")),
     Row("growth at the default step, 500 layouts in the plane", "The same in plane strain.",
-        rate(2), holds=1e-6, useless=np.inf, remedies=("xpic 2",)),
+        rate(2), holds=1e-6, useless=np.inf),
     Row("0.1 to 0.9 of the exact step",
         """A block rings at steps of 0.1, 0.3, 0.5, 0.7, 0.8 and 0.9 of the exact limit, in one to three dimensions, its
-        points off their quarter points; what its mean energy gains from the first half of 2000 steps to the second.""",
-        drift, holds=0.05, useless=1.0, remedies=("usl", "usavg", "xpic 2"), must=True, warns="times the|waves grow",
+        points off their quarter points; what its mean energy gains from the first half of 2000 steps to the second. At
+        0.9 the energy of a leapfrog swings fivefold, so means are only good to some percent.""",
+        drift, holds=0.2, useless=1.0, remedies=("usl", "usavg"), must=True, warns="times the|waves grow",
         stops="times the energy"),
     Row("1.05 and 1.2 of the exact step", "The same block with steps that are too long; how many of these runs go on.",
-        beyond, holds=0.0, useless=0.0, remedies=("usl", "usavg"), stops=TOO_LONG),
+        beyond, holds=0.0, useless=0.0, remedies=("usavg",), stops=TOO_LONG),
 ]

@@ -73,7 +73,8 @@ class Guarded:
 
     def _check_start(self) -> None:
         """Stop before a step from places, masses or domains that are no numbers: they would be in any cell."""
-        for name in ("x", "mass", "length") + ("volume",) * self.covers:
+        unread = ("sigma",) * (self.epsilon is not None)           # some of it is, where strain is kept, and made anew
+        for name in ("x", "mass", "length") + ("volume",) * self.covers + unread:
             array = getattr(self, name)
             if array is not None and not np.isfinite(np.vdot(array, array)):
                 self._check_finite(name)
