@@ -132,7 +132,7 @@ def broken_off(choices, quick):
 
 
 WRITER = """
-import json, resource, sys
+import json, resource, signal, sys
 import numpy as np
 from extremes.bodies import LAW, block, grid_of, with_noise
 from skfem_mpm import explicit_steps
@@ -140,6 +140,7 @@ from skfem_mpm.output import write_text
 
 body = with_noise(block(2, 3, shift=0.2), 1e-3)
 hoard = []
+signal.signal(signal.SIGINT, signal.default_int_handler)         # which jobs in the background ignore
 for state in explicit_steps(grid_of(2, 3), body, LAW[2], steps=10**6, engine="numpy"):
     write_text(sys.argv[1], json.dumps([state.step] + state.particles.x.ravel().tolist() * 500))
     if state.step == 5:
