@@ -1,5 +1,6 @@
 """The stability map as text and as the page docs/stability.md."""
 
+import math
 import textwrap
 
 from extremes.row import METHODS, REMEDIES
@@ -9,6 +10,8 @@ SQUARE = {"holds": "🟩", "degrades": "🟨", "stops": "🟦", "wrong": "🟥",
 
 def number(value):
     """Two digits."""
+    if value == math.inf:
+        return "∞"
     if value is None or value == 0 or 0.01 <= abs(value) < 1000:
         return "" if value is None else f"{value:.2g}"
     mantissa, exponent = f"{value:.1e}".split("e")
@@ -48,7 +51,7 @@ def sentence(row, cells):
     """What a row is about, its limits, and with which words runs stop there."""
     words = " ".join(row.says.split())
     words += f" Holds up to {number(row.holds)}"
-    words += f", wrong beyond {number(row.useless)}." if row.useless > row.holds else "."
+    words += f", wrong beyond {number(row.useless)}." if row.holds < row.useless < math.inf else "."
     stops = {}
     for key, cell in cells.get(row.name, {}).items():
         if cell["verdict"] == "stops":
