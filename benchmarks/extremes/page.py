@@ -52,12 +52,10 @@ def sentence(row, cells):
     words = " ".join(row.says.split())
     words += f" Holds up to {number(row.holds)}"
     words += f", wrong beyond {number(row.useless)}." if row.holds < row.useless < math.inf else "."
-    stops = {}
-    for key, cell in cells.get(row.name, {}).items():
-        if cell["verdict"] == "stops":
-            stops.setdefault(first_words(cell["message"]), []).append(key)
-    for message, keys in stops.items():
-        words += f" Stops ({', '.join(f'`{key}`' for key in keys)}): “{message}”"
+    stops = [(key, cell["message"]) for key, cell in cells.get(row.name, {}).items() if cell["verdict"] == "stops"]
+    if stops:
+        words += (f" Stops in {len(stops)} cell{'s' * (len(stops) > 1)}, `{stops[0][0]}` with: "
+                  f"“{first_words(stops[0][1])}”")
     return "\n".join(textwrap.wrap(f"- **{row.name}.** {words}", 120, subsequent_indent="  ",
                                    break_long_words=False, break_on_hyphens=False))
 
@@ -87,8 +85,9 @@ def chosen(name):
 
 HEAD = """# Where each method holds, and where it breaks
 
-Made by `python benchmarks/stability_map.py --write`{about}; do not edit. Anybody can measure it anew:
-without `--write` the script compares, and exits with 1 if a cell is worse than here; `--quick` does so in minutes.
+Made by `python benchmarks/stability_map.py --write`{about}; do not
+edit. Anybody can measure it anew: without `--write` the script compares, and exits with 1 if a cell is worse than here;
+`--quick` does so in two minutes, without remedies.
 
 Each row is an extreme, each cell what was measured there.
 
@@ -106,7 +105,7 @@ Numbers are what the row's sentence says is measured; smaller is better.
 def page_of(families, stored):
     """The page, from the committed map."""
     families, cells, about = list(families), stored.get("full", {}), stored.get("about", {}).get("full")
-    where = " on {date} ({machine}, {cores} cores, {minutes} minutes)".format(**about) if about else ""
+    where = "\non {date} ({machine}, {cores} cores, {minutes} minutes)".format(**about) if about else ""
     parts = [HEAD.format(about=where)]
     for family in families:
         parts += [f"## {family.TITLE}\n", family.WORDS.strip() + "\n", family_table(family, cells) + "\n",
