@@ -36,6 +36,7 @@ def numbers(least, most):
 
 shares = numbers(0, 1)
 units = numbers(-1, 1)
+grades = units.map(lambda power: round(power, 6))       # cells count as equal that differ by less than a billionth
 motions = st.sampled_from(MOTIONS)
 
 
@@ -46,7 +47,7 @@ def axes(draw, dim, least=1, most=6, offset=100.0, graded=True):
     """Node coordinates: neighbouring cells differ by up to ten times, the whole measures 1e-6 to 1e6."""
     size, found = draw(powers), []
     for _ in range(dim):
-        ratios = draw(st.lists(units if graded else st.just(0.0), min_size=least - 1, max_size=most - 1))
+        ratios = draw(st.lists(grades if graded else st.just(0.0), min_size=least - 1, max_size=most - 1))
         widths = np.cumprod(10.0 ** np.array([0.0, *ratios]))
         line = np.concatenate([[0.0], np.cumsum(widths)]) / widths.max()
         found.append(size * (line + draw(st.sampled_from([0.0, 1.0, -line[-1] / 2, offset, -offset]))))

@@ -158,6 +158,20 @@ def test_engines_agree_on_points_on_nodes_and_faces(method, integrator):
     check_equal(*both((mesh, particles, planes), ELASTIC, method=method, integrator=integrator))
 
 
+@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("method", METHODS)
+def test_points_on_a_smooth_plane_slide_along_it_without_stress(method, side, engine):
+    """Those that count to the cells behind it read images of nodes in cells that hold no point."""
+    axis, n = np.arange(7.0), 3
+    body = Particles(np.array([[3.0] * n, [2.0, 2.4, 3.0]]), np.ones(n), np.ones(n), plane_strain,
+                     length=np.full((2, n), 0.5), velocity=np.repeat([[0.0], [0.01]], n, axis=1))
+    *_, state = explicit_steps(MeshQuad.init_tensor(axis, axis), body, ELASTIC, [FixedPlane(0, 3.0, side)], steps=5,
+                               method=method, engine=engine)
+    np.testing.assert_allclose(state.particles.velocity, body.velocity, atol=1e-15)
+    assert np.abs(state.particles.sigma).max() < 1e-14 * ELASTIC.E
+
+
 def test_engines_agree_on_a_detached_body_of_almost_no_mass():
     mesh, particles, planes = block(2, plane_strain, axes=[0.25 * np.arange(-1, 12)] * 2)
     joined = {"x": [[2.05], [2.1]], "volume": particles.volume[:1], "mass": particles.mass[:1] * 1e-10,
@@ -270,6 +284,14 @@ def flying(speed):
 def test_a_point_that_leaves_is_named(method):
     error = both_refuse(OutsideGridError, flying(3.0), ELASTIC, steps=300, method=method)
     assert "point" in str(error) and "step" in str(error)
+
+
+@pytest.mark.parametrize("leaving", ["error", "remove"])
+def test_a_domain_that_is_off_the_grid_at_the_start_is_refused(leaving):
+    mesh, particles, _ = block(2, plane_strain)
+    error = both_refuse(OutsideGridError, (mesh, replace(particles, x=particles.x - 0.3), []), ELASTIC, steps=1,
+                        method="gimp", leaving=leaving)
+    assert "domain of point 0" in str(error)
 
 
 @pytest.mark.parametrize("method", ["mpm", "gimp"])

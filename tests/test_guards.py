@@ -15,6 +15,7 @@ from numpy.testing import assert_array_equal
 from skfem import MeshLine, MeshQuad
 
 from skfem_mpm import (
+    Hencky,
     LinearElastic,
     NotConvergedError,
     OutsideGridError,
@@ -28,6 +29,8 @@ from skfem_mpm import (
 )
 from skfem_mpm.boundary import FixedPlane, Wall
 from skfem_mpm.explicit.prepare import prepare
+from skfem_mpm.implicit.guards import respond
+from skfem_mpm.kinematics import Logarithmic
 
 ELASTIC, BAR = LinearElastic(E=100.0, nu=0.3), LinearElastic(E=1.0, nu=0.0)
 SOIL = VonMises(E=100.0, nu=0.3, peak=2.0, residual=0.5, softening=-5.0)
@@ -158,6 +161,15 @@ def test_messages_name_value_limit_and_cure(engine):
                        "zero; .*shorter time step"):
         crushed = replace(body, velocity=np.array([[-20.0], [0.0]]) * (body.x - 0.5))
         quiet(explicit_steps(mesh, crushed, ELASTIC, steps=1, dt=0.1, engine=engine, guards={"moved": "off"}))
+
+
+def test_a_point_squeezed_flat_to_rounding_is_named():
+    """Its volume is above zero, its logarithmic strain is not finite."""
+    zero, x = np.zeros((3, 1)), np.array([[0.5]])
+    motion = Logarithmic(uniaxial, 1, Hencky(E=1.0, nu=0.0), zero, zero)
+    with np.errstate(all="raise"):
+        response, trouble = respond(motion, np.array([[-1 + 1e-9]]), x)
+    assert response is None and re.match(r"point 0 at \(0.5\) has a \w+ that is not finite", trouble)
 
 
 # -- energy ------------------------------------------------------------------------------------------------------------

@@ -279,7 +279,7 @@ def test_odd_layouts_have_answers(x, method, choices):
         found = growth(mesh, body, LAW, method=method, **choices)
     assert 0 < limit.bound <= limit.exact * (1 + 1e-7) or limit.bound > 0 and choices.get("tpic")
     assert np.isfinite([found.radius, found.rate, found.dt]).all()
-    assert found.cause == "none" or limit.flutters
+    assert found.cause == "none" or limit.flutters or (choices.get("tpic") and found.dt > limit.exact)
 
 
 def test_a_mesh_of_one_cell_has_an_answer():

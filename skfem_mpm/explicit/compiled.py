@@ -161,8 +161,7 @@ class CompiledRun(Run):
             tables.widths = self.farthest
             found = tables.survey()
         self.x, self.ahead = self.ahead, self.x
-        ghost = self.choices.edges == "ghost" and self.choices.method.mass.reads_domains
-        if found & chunks.OUTSIDE or (ghost and tables.near_the_edge):
+        if found & chunks.OUTSIDE or (self.ghost and tables.near_the_edge):
             self._leave()
 
     def _fail(self) -> None:

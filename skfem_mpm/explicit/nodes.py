@@ -106,11 +106,11 @@ class Nodes:
     def _lighten(self, reads_domains: bool) -> None:
         """Light nodes, and the equal shares that active nodes around them take."""
         self.occupied = self.grid.occupied(self.index)
-        read = corner_nodes(wider(self.occupied) if reads_domains else self.occupied)
-        mask = read.ravel() & ~self.active
-        for _, outside, _ in self.mirrors:
-            mask[outside] = False
-        source, target = self._around(np.flatnonzero(mask))
+        read = corner_nodes(wider(self.occupied) if reads_domains else self.occupied).ravel()
+        for inside, outside, _ in self.mirrors:                         # who reads an image reads what it shows
+            read[inside] |= read[outside]
+            read[outside] = False
+        source, target = self._around(np.flatnonzero(read & ~self.active))
         source, target = source[self.active[target]], target[self.active[target]]
         self.light, row, count = np.unique(source, return_inverse=True, return_counts=True)
         self.share = csr_array((1 / count[row], (row, target)), shape=(len(self.light), self.grid.nnodes))

@@ -51,6 +51,9 @@ class Run(Guarded):
         self.length: Any = particles.length if reads_domains else None
         self.stretches = choices.domains == "stretched" and self.length is not None
         self.ring = choices.radius == "domain" and self.kinematics.hoop
+        self.ghost = choices.edges == "ghost" and method.mass.reads_domains     # then domains stay on the grid too
+        if self.ghost and self.length is not None:
+            self.grid.check_reach(self.x, self.grid.locate(self.x), self._seen(), choices.edges)
         self.velocity = np.zeros((self.dim, n)) if particles.velocity is None else particles.velocity.copy()
         self.sigma = np.zeros((ncomp, n)) if particles.sigma is None else particles.sigma.copy()
         self.epsilon: Any = particles.epsilon if finite else None
@@ -103,7 +106,7 @@ class Run(Guarded):
     def advance(self) -> None:
         """Take one time step."""
         self.doing = self.step + 1
-        with np.errstate(invalid="ignore", over="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             self._check_start()
             self._advance()
             self.work["most"] = max(self.work["most"], self.work["external"])
@@ -258,8 +261,7 @@ class Run(Guarded):
 
     def _leave(self) -> None:
         """Stop at points that leave the grid, or go on without them."""
-        ghost = self.choices.edges == "ghost" and self.choices.method.mass.reads_domains
-        outside = self.grid.outside(self.x, self._seen() if ghost else None)
+        outside = self.grid.outside(self.x, self._seen() if self.ghost else None)
         if not outside.any():
             return
         if outside.all() and self.choices.leaving == "remove":
@@ -267,7 +269,7 @@ class Run(Guarded):
                                    "larger mesh, or fewer steps.")
         if self.choices.leaving == "error":
             raise OutsideGridError(f"{self._whereabouts(int(np.flatnonzero(outside)[0]))} leaves the grid "
-                                   f"{self.grid.extent}{' with its domain' * ghost}; use a larger mesh, or "
+                                   f"{self.grid.extent}{' with its domain' * self.ghost}; use a larger mesh, or "
                                    "leaving='remove' to go on without such points.")
         self._keep(~outside)
 

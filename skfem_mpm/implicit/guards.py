@@ -28,7 +28,8 @@ def respond(motion: Any, gradient: ndarray, x: ndarray) -> tuple[Any, str]:
         point = int(np.flatnonzero(wrong)[0])
         return None, (f"{whereabouts(x, point)} turned inside out: its volume ratio is {stretch[point]:.3g}, expected "
                       "more than zero")
-    response = motion.respond(gradient)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):     # what is not finite is told below
+        response = motion.respond(gradient)
     for name in ("history", "sigma", "epsilon"):
         array = getattr(response, name)
         wrong = ~np.isfinite(array).all(axis=0) if array is not None else wrong
