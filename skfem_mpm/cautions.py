@@ -12,9 +12,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from skfem import Mesh
 
+from .checks import whereabouts
 from .grid import Grid
-from .kinematics import Kinematics
-from .kinematics.laws import memory, moduli
+from .kinematics import Kinematics, moduli_at_rest
 from .particles import Particles
 
 LOCKS = 0.45           # Poisson's ratio from which points that each see a dilation of their own lock
@@ -31,12 +31,11 @@ def caution(mesh: Mesh, particles: Particles, material: Any, remedy: str, stackl
     stacklevel
         How many frames up the warning points.
     """
-    zero = np.zeros((particles.kinematics.ncomp, particles.n))
-    history = memory(material, particles.history, particles.n)
-    elastic = moduli(material, zero, zero, history, particles.kinematics.rows(particles.dim))
+    kinematics = particles.kinematics
+    elastic = moduli_at_rest(material, particles.history, kinematics.ncomp, particles.n, kinematics.rows(particles.dim))
     words = []
     if remedy == "none":
-        words += _of_locking(elastic, particles.kinematics, particles.dim)
+        words += _of_locking(elastic, kinematics, particles.dim)
     if elastic.shape[2] > 1:
         words += _of_contrast(elastic[0, 0], Grid.from_mesh(mesh), particles)
     for word in words:
@@ -80,10 +79,9 @@ def _of_contrast(stiffness: ndarray, grid: Grid, particles: Particles) -> list[s
     if not far.any():
         return []
     point = int(np.flatnonzero(far[cell])[0])
-    place = ", ".join(f"{value:g}" for value in particles.x[:, point])
-    return [f"material: stiffness differs more than {CONTRAST:g} times between points of a cell, first that of point "
-            f"{point} at ({place}), and such a cell is nearly as stiff as its stiffest point; use a grid with a line "
-            "where the law changes."]
+    return [f"material: stiffness differs more than {CONTRAST:g} times between points of a cell, first that of "
+            f"{whereabouts(particles.x, point)}, and such a cell is nearly as stiff as its stiffest point; use a grid "
+            "with a line where the law changes."]
 
 
 class Pieces:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import importlib.util
 import warnings
 from collections.abc import Iterable, Mapping
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
 ENGINES = ("auto", "numpy", "numba")
+WHOLE: Any = Integral          # of types that mypy takes for any: it does not know that these can be compared
+NUMBER: Any = Real
 STRICT = {
     "finite": "nothing sensible follows from numbers that are not finite",
     "positive": "a point that is turned inside out has no volume to go on with",
@@ -65,6 +68,30 @@ def check_positive(name: str, value: Any) -> None:
             raise ValueError(f"{name}: got {value}, expected a number above zero.")
         index = int(np.flatnonzero(bad)[0])
         raise ValueError(f"{name}: got {array.flat[index]} at point {index}, expected numbers above zero.")
+
+
+def check_counts(counts: Mapping[str, tuple[Any, int]]) -> None:
+    """Refuse whole numbers that are too small; each comes with the least it may be."""
+    for name, (count, least) in counts.items():
+        if not (isinstance(count, WHOLE) and count >= least):
+            raise ValueError(f"{name}: got {count}, expected a whole number of at least {least}.")
+
+
+def check_spans(spans: Mapping[str, Any]) -> None:
+    """Refuse spans of time that are none."""
+    for name, span in spans.items():
+        if span is not None and not (isinstance(span, NUMBER) and np.isfinite(span) and span > 0):
+            raise ValueError(f"{name}: got {span!r}, expected a time span above zero, or None.")
+
+
+def position(x: ndarray, point: int) -> str:
+    """Where a point is, in words."""
+    return f"({', '.join(f'{value:g}' for value in x[:, point])})"
+
+
+def whereabouts(x: ndarray, point: int) -> str:
+    """A point and its position."""
+    return f"point {point} at {position(x, point)}"
 
 
 def check_choice(name: str, value: Any, choices: Iterable[str]) -> None:

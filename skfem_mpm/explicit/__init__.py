@@ -11,10 +11,10 @@ from skfem import Mesh
 
 from ..basis import Method
 from ..cautions import caution
-from ..checks import warn_of_relaxed
+from ..checks import check_counts, check_spans, warn_of_relaxed
 from ..grid import Edges
 from ..particles import Particles
-from .prepare import check_counts, check_spans, prepare
+from .prepare import prepare
 from .run import Run
 from .state import ExplicitState
 

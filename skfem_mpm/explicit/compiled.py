@@ -16,12 +16,12 @@ from ..basis import ParticleBasis
 from ..kernels import chunks, dilation, domains, energy
 from ..kernels.crew import Crew
 from ..kernels.options import TILE
+from ..kinematics import YIELD
 from ..materials import Hencky, LinearElastic, VonMises
 from .fields import Fields
-from .guards import YIELD
 from .pairs import stable_step
 from .run import POINT_ARRAYS, Run
-from .state import FIRST, Choices, ExplicitState, remaps
+from .state import Choices, ExplicitState, remaps
 from .sums import NONE, NOTHING, Sums
 from .tables import Tables
 
@@ -47,8 +47,7 @@ class CompiledRun(Run):
         self.rows = (0,) * self.kinematics.ncomp
         self.diagonal = [row for row, (i, j) in enumerate(self.kinematics.rows(dim)) if i == j]
         self.smooth = choices.remedy == "bbar"
-        self.first = FIRST.get(choices.integrator, 0.0)
-        self.together = (method.force is method.mass and not self.first and not choices.tpic
+        self.together = (method.force is method.mass and not choices.first and not choices.tpic
                          and not (self.smooth or self.covers))
         self._choose_law()
         self.fused = (method.strain is method.mass and choices.integrator == "usl" and self.law != "python"
@@ -135,8 +134,8 @@ class CompiledRun(Run):
         if choices.xpic:
             self._filter()
         self._move_points(moved)
-        if choices.integrator != "usl" and self.first < 1:
-            self._update(sums.velocity(self._mapped(), 0), 1 - self.first)
+        if choices.integrator != "usl" and choices.first < 1:
+            self._update(sums.velocity(self._mapped(), 0), 1 - choices.first)
         elif choices.integrator == "usl" and not self.fused:
             self._update(moved)
         self._look(gravity)
@@ -168,7 +167,7 @@ class CompiledRun(Run):
         """Say what is wrong with which point, in the order of a step's parts; comes back if it is no reason to stop."""
         parts: list[Callable[[], None]] = [partial(self._check_finite, "velocity"),
                                            partial(self._check_volume, self.volume), self._check_stress]
-        for part in parts[1:] + parts[:1] if self.first else parts:
+        for part in parts[1:] + parts[:1] if self.choices.first else parts:
             part()
         if not self._check_moved(self.ahead - self.x):
             size = np.abs(self.sigma).max(axis=0)
@@ -242,8 +241,9 @@ class CompiledRun(Run):
         nodal = self._map_points(gravity)
         if self.together:
             return nodal, 1 + self.dim
-        if self.first:
-            self._update(sums.velocity(nodal, 1), self.first)
+        first = self.choices.first
+        if first:
+            self._update(sums.velocity(nodal, 1), first)
         force = self._internal()
         if len(gravity):
             force += self.weight
@@ -359,7 +359,7 @@ class CompiledRun(Run):
         if self.smooth:
             grad[self.diagonal] += self._excess(grad[self.diagonal])
         if self.law == "python":
-            if not self.first:
+            if not self.choices.first:
                 self._check_finite("velocity")
             return self._respond(grad[:len(self.kinematics.rows(self.dim))])
         if self.stretches:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy import ndarray
 
 from ..cautions import Pieces
-from ..checks import UnstableError
+from ..checks import UnstableError, position
 from ..grid import Grid
-from ..kinematics import Kinematics, beyond_yield
+from ..kinematics import YIELD, Kinematics, beyond_yield, moduli_at_rest, words_of_yield
 from .state import Choices, ExplicitState, remaps
 
 LOOK_EVERY = 50    # steps
@@ -26,7 +26,6 @@ ROUNDING = 1e-12   # share of the energy of the centre of mass that is not told 
 REACH = 3.0        # cells from a plane within which it may hold the body
 PATIENCE = 10      # looks that must find a point in tension: one that vibrates is so half of the time
 TENSE = 0.01       # tension as a share of the modulus from which bodies leave equilibrium in some thousand steps
-YIELD = 1e-6       # stress beyond yield as a share of strength: a return mapping that has converged is far below
 
 
 class Guarded:
@@ -215,13 +214,11 @@ class Guarded:
         if excess is None or (excess <= YIELD).all() or (what == "warn" and self.overdone):
             return
         point = self._first(~(excess <= YIELD))
-        name = type(self.material).__name__
-        text = f"has a stress that is beyond yield by {excess[point]:.3g} of the strength, expected at most {YIELD:g}"
-        cure = f"The return mapping of {name}.update has not converged, or {name}.excess is wrong."
+        trouble, cause = words_of_yield(self.material, excess[point])
         if what == "stop":
-            self._stop(point, text, cure)
+            self._stop(point, trouble, cause)
         self.overdone = True
-        warnings.warn(f"{self._whereabouts(point)} {text}.  {cure}", UserWarning, stacklevel=2)
+        warnings.warn(f"{self._whereabouts(point)} {trouble}.  {cause}", UserWarning, stacklevel=2)
 
     overdone = False
 
@@ -238,11 +235,11 @@ class Guarded:
         if self.tense is None or self.doing % LOOK_EVERY != 31 * (self.doing // LOOK_EVERY) % LOOK_EVERY:
             return
         rows = [k for k, (i, j) in enumerate(self.kinematics.components) if i == j < len(self.x)]
-        zero, self.looks = np.zeros_like(self.sigma), self.looks + 1
+        self.looks += 1
         np.minimum(self.tense, self.sigma[rows].max(axis=0), out=self.tense)
         if self.looks < PATIENCE:
             return
-        share = self.tense / self.material.tangent(zero, zero, self.history, self.kinematics.rows(len(self.x)))[0, 0]
+        share = self.tense / self._moduli_at_rest()[0, 0]
         self.tense, self.looks = np.full_like(share, np.inf), 0
         if share.max() > TENSE:
             point, self.tense = self._first(share == share.max()), None
@@ -251,6 +248,11 @@ class Guarded:
                           "equilibrium, at any step.  Take xpic=2, or integrator='usl'.", UserWarning, stacklevel=2)
 
     looks = 0
+
+    def _moduli_at_rest(self) -> ndarray:
+        """Stiffness of the points without strain and stress, ``(m, m, n)`` or ``(m, m, 1)``."""
+        dim, n = self.x.shape
+        return moduli_at_rest(self.material, self.history, len(self.sigma), n, self.kinematics.rows(dim))
 
     # -- words -------------------------------------------------------------------------------------------------------
 
@@ -267,8 +269,7 @@ class Guarded:
         return point if self.kept is None else int(self.kept[point])
 
     def _whereabouts(self, point: int) -> str:
-        place = ", ".join(f"{value:g}" for value in self.x[:, point])
-        return f"step {self.doing}: point {self._number(point)} at ({place})"
+        return f"step {self.doing}: point {self._number(point)} at {position(self.x, point)}"
 
     def _cure(self) -> str:
         if not self.choices.method.conjugate:

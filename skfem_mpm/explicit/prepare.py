@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
 from skfem import Mesh
 
 from ..basis import Method, find_method
-from ..checks import ENGINES, check_array, check_choice, check_guards
+from ..checks import ENGINES, NUMBER, check_array, check_choice, check_counts, check_guards, check_spans
 from ..grid import EDGES, Edges
 from ..integration import Points, Twin, find_integration
 from ..kinematics import DOMAINS, RADII, RATES
@@ -24,8 +23,6 @@ from .twin import conjugate
 INTEGRATORS = ("musl", "usl", "usf", "usavg")
 REMEDIES = ("none", "bbar")
 LEAVING = ("error", "remove")
-WHOLE: Any = Integral          # of types that mypy takes for any: it does not know that these can be compared
-NUMBER: Any = Real
 
 
 def prepare(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundary: Sequence[Any] | None, *,
@@ -73,26 +70,12 @@ def _integration(method: Method, integration: Any) -> tuple[Method, Any]:
     return (conjugate(method) if found.covers else method), found
 
 
-def check_counts(counts: dict[str, tuple[Any, int]]) -> None:
-    """Refuse whole numbers that are too small."""
-    for name, (count, least) in counts.items():
-        if not (isinstance(count, WHOLE) and count >= least):
-            raise ValueError(f"{name}: got {count}, expected a whole number of at least {least}.")
-
-
 def _check_shares(shares: dict[str, Any]) -> None:
     """Refuse shares beyond 0 and 1; one of the stable step must be above 0."""
     for name, number in shares.items():
         above = ", above 0" * (name == "safety")
         if not (isinstance(number, NUMBER) and 0 <= number <= 1 and (number > 0 or not above)):
             raise ValueError(f"{name}: got {number!r}, expected a share from 0 to 1{above}.")
-
-
-def check_spans(spans: dict[str, Any]) -> None:
-    """Refuse spans of time that are none."""
-    for name, span in spans.items():
-        if span is not None and not (isinstance(span, NUMBER) and np.isfinite(span) and span > 0):
-            raise ValueError(f"{name}: got {span!r}, expected a time span above zero, or None.")
 
 
 def _load(gravity: Any, ramp: float, dim: int) -> Callable[[float], Any]:

@@ -17,12 +17,11 @@ from .boxes import Boxes
 from .dilation import CellMeans
 from .guards import LOOK_EVERY, Guarded
 from .nodes import Nodes
-from .state import FIRST, LEDGER, Choices, ExplicitState, remaps
+from .state import LEDGER, Choices, ExplicitState, remaps
 from .twin import TwinNodes
 
 STORED = ("kinetic", "elastic")
-POINT_ARRAYS = ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope",
-                "tense")
+POINT_ARRAYS = ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope", "tense")
 
 
 class Run(Guarded):
@@ -37,11 +36,10 @@ class Run(Guarded):
         self.kinematics, self.dim = particles.kinematics, particles.dim
         self.covers = choices.integration.covers
         self._check(start)
-        self.planes, self.last = start.boundary, start
+        self.planes, self.last, self.kept = start.boundary, start, start.kept
         self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
         self.doing = start.step + 1
         self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
-        self.kept = start.kept
         method = choices.method
         bases = (method.mass, method.strain, method.force)
         reads_domains = self.covers or any(basis.reads_domains for basis in bases)
@@ -51,9 +49,7 @@ class Run(Guarded):
         self.length: Any = particles.length if reads_domains else None
         self.stretches = choices.domains == "stretched" and self.length is not None
         self.ring = choices.radius == "domain" and self.kinematics.hoop
-        self.ghost = choices.edges == "ghost" and method.mass.reads_domains     # then domains stay on the grid too
-        if self.ghost and self.length is not None:
-            self.grid.check_reach(self.x, self.grid.locate(self.x), self._seen(), choices.edges)
+        self._check_reach()
         self.velocity = np.zeros((self.dim, n)) if particles.velocity is None else particles.velocity.copy()
         self.sigma = np.zeros((ncomp, n)) if particles.sigma is None else particles.sigma.copy()
         self.epsilon: Any = particles.epsilon if finite else None
@@ -101,6 +97,16 @@ class Run(Guarded):
             plane.check(grid, particles.x)
         grid.locate(particles.x)
 
+    @property
+    def ghost(self) -> bool:
+        """Whether domains, too, have to stay on the grid."""
+        return self.choices.edges == "ghost" and self.choices.method.mass.reads_domains
+
+    def _check_reach(self) -> None:
+        """Refuse domains that are off the grid before the first step."""
+        if self.ghost and self.length is not None:
+            self.grid.check_reach(self.x, self.grid.locate(self.x), self._seen(), self.choices.edges)
+
     # -- one step ----------------------------------------------------------------------------------------------------
 
     def advance(self) -> None:
@@ -125,17 +131,16 @@ class Run(Guarded):
             means = CellMeans(nodes.grid, nodes.mapping, nodes.integrated(self.volume))
         momentum = self._momentum(nodes)
         before = nodes.velocity(momentum)
-        first = FIRST.get(choices.integrator, 0.0)
-        if first:
-            self._update_stress(nodes, means, before, first)
+        if choices.first:
+            self._update_stress(nodes, means, before, choices.first)
         force, lost = self._force(nodes, means, before)
         after = nodes.velocity(momentum + self.dt * force)
         self.work["damped"] += float((lost * (before + after)).sum() * self.dt / 2)
         moved = self._move(nodes, before, after)
         if choices.integrator == "usl":
             self._update_stress(nodes, means, after)
-        elif first < 1:
-            self._update_stress(nodes, means, nodes.velocity(self._momentum(nodes)), 1 - first)
+        elif choices.first < 1:
+            self._update_stress(nodes, means, nodes.velocity(self._momentum(nodes)), 1 - choices.first)
         self._check_moved(moved)
         self.x = self.x + moved
         self._leave()
@@ -237,8 +242,7 @@ class Run(Guarded):
 
     def _refresh(self, nodes: Nodes) -> None:
         """Find the stable time step of this layout."""
-        zero = np.zeros_like(self.sigma)
-        moduli = self.material.tangent(zero, zero, self.history, self.kinematics.rows(self.dim))
+        moduli = self._moduli_at_rest()
         volume = nodes.integrated(self.volume)
         if self.material.kirchhoff:           # what is linear in strain is Cauchy stress times the volume ratio
             volume = volume * np.exp(-self.epsilon[:3].sum(axis=0))
@@ -246,6 +250,7 @@ class Run(Guarded):
         self._take_step(stable_step(nodes, moduli, volume, self.mass, remaps(integrator, tpic), integrator == "usl"))
 
     def _take_step(self, stable: float) -> None:
+        """Choose the time step, knowing the one that is stable with FLIP."""
         self.refreshed = self.step
         dt = self.choices.dt
         if not stable > 0 or (dt is None and stable == np.inf):

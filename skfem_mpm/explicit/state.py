@@ -20,7 +20,6 @@ GUARDS = {"step": ("warn", "stop", "off"), "moved": ("stop", "warn", "off"), "en
           "yield": ("stop", "warn", "off")}
 LEDGER = ("start", "peak", "most", "external", "plastic", "damped", "removed")
 
-FIRST = {"usf": 1.0, "usavg": 0.5}     # share of a step's strain that stress follows before the force; the rest after
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +103,11 @@ class Choices:
     radius: str = "point"
     integration: Any = Points()
     guards: Mapping[str, str] = field(default_factory=lambda: check_guards(None, GUARDS))
+
+    @property
+    def first(self) -> float:
+        """Share of a step's strain that stress follows before the force; the rest comes after."""
+        return {"usf": 1.0, "usavg": 0.5}.get(self.integrator, 0.0)
 
 
 def remaps(integrator: str, tpic: bool) -> bool:

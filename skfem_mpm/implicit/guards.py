@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 from numpy import ndarray
 
-from ..checks import NotConvergedError
-from ..kinematics import beyond_yield
-
-YIELD = 1e-6         # stress beyond yield as a share of strength: a return mapping that has converged is far below
+from ..checks import NotConvergedError, whereabouts
+from ..kinematics import YIELD, beyond_yield, words_of_yield
 
 
 def respond(motion: Any, gradient: ndarray, x: ndarray) -> tuple[Any, str]:
@@ -51,15 +49,9 @@ def check_yield(material: Any, response: Any, x: ndarray, step: int, what: str) 
     excess = beyond_yield(material, response.sigma, response.epsilon, response.history) if what != "off" else None
     if excess is None or (excess <= YIELD).all():
         return
-    point, name = int(np.flatnonzero(~(excess <= YIELD))[0]), type(material).__name__
-    text = (f"{whereabouts(x, point)} has a stress that is beyond yield by {excess[point]:.3g} of the strength, "
-            f"expected at most {YIELD:g}; the return mapping of {name}.update has not converged, or {name}.excess is "
-            "wrong")
+    point = int(np.flatnonzero(~(excess <= YIELD))[0])
+    trouble, cause = words_of_yield(material, excess[point])
+    text = f"{whereabouts(x, point)} {trouble}.  {cause}"
     if what == "stop":
-        raise NotConvergedError(f"{text}.")
-    warnings.warn(f"step {step}: {text}.", UserWarning, stacklevel=2)
-
-
-def whereabouts(x: ndarray, point: int) -> str:
-    """A point and its position."""
-    return f"point {point} at ({', '.join(f'{value:g}' for value in x[:, point])})"
+        raise NotConvergedError(text)
+    warnings.warn(f"step {step}: {text}", UserWarning, stacklevel=2)

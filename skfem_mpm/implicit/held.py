@@ -10,7 +10,8 @@ from numpy import ndarray
 from scipy.sparse import block_array, csr_array, vstack
 from scipy.sparse.csgraph import connected_components
 
-from ..checks import NotConvergedError
+from ..checks import NotConvergedError, position, whereabouts
+from ..kinematics.blocks import volume_ratio
 from ..particles import Particles
 from ..support import Support
 
@@ -54,16 +55,17 @@ class Parts:
 
     def warn_if_apart(self, before: Parts | None, support: Support, step: int) -> None:
         """Warn of points that were in one part before and are in two now."""
+        x = support.particles.x
         for (old, _), (new, _) in zip(2 * before.found if before else (), self.found):
             for part in np.unique(old):
                 points = np.flatnonzero(old == part)
                 other = points[new[points] != new[points[0]]]
                 if len(other):
+                    one, two = (f"{point} at {position(x, point)}" for point in (points[0], other[0]))
                     warnings.warn(
-                        f"step {step}: the body comes apart: points {points[0]} at {_place(support, points[0])} and "
-                        f"{other[0]} at {_place(support, other[0])} have no cell left that links them, and no longer "
-                        "pull at each other.  If the material is not meant to break there, use more points, a coarser "
-                        "grid, or a method with domains that stretch.", UserWarning, stacklevel=3)
+                        f"step {step}: the body comes apart: points {one} and {two} have no cell left that links them, "
+                        "and no longer pull at each other.  If the material is not meant to break there, use more "
+                        "points, a coarser grid, or a method with domains that stretch.", UserWarning, stacklevel=3)
                     return
 
 
@@ -90,13 +92,12 @@ def warn_of_folds(support: Support, u: ndarray, step: int) -> None:
     grid, index = support.grid, np.stack(np.nonzero(support.occupied))
     middle = np.stack([(axis[i] + axis[i + 1]) / 2 for axis, i in zip(grid.axes, index)])
     stencil = grid.linear(middle, index)
-    gradient = np.einsum("ikn,jkn->nij", u[:, stencil.nodes()], stencil.gradient())
-    folded = np.flatnonzero(~(np.linalg.det(np.eye(grid.dim) + gradient) > 0))
+    gradient = np.einsum("ikn,jkn->ijn", u[:, stencil.nodes()], stencil.gradient()).reshape(grid.dim ** 2, -1)
+    folded = np.flatnonzero(~(volume_ratio(gradient, grid.dim) > 0))
     if len(folded):
-        place = ", ".join(f"{value:g}" for value in middle[:, folded[0]])
-        warnings.warn(f"step {step}: the cell around ({place}) is turned inside out, and the points in it do not feel "
-                      "that; what they say is of no use there.  Try ghost=0.1, smaller steps, or more points.",
-                      UserWarning, stacklevel=5)
+        warnings.warn(f"step {step}: the cell around {position(middle, folded[0])} is turned inside out, and the "
+                      "points in it do not feel that; what they say is of no use there.  Try ghost=0.1, smaller steps, "
+                      "or more points.", UserWarning, stacklevel=5)
 
 
 def warn_of_too_few(support: Support, old: Particles, volume: ndarray, step: int) -> None:
@@ -107,7 +108,7 @@ def warn_of_too_few(support: Support, old: Particles, volume: ndarray, step: int
     share = volume / cell
     if (old.volume / cell).max() <= MOST < share.max():
         point = int(share.argmax())
-        warnings.warn(f"step {step}: point {point} at {_place(support, point)} has been stretched to "
+        warnings.warn(f"step {step}: {whereabouts(old.x, point)} has been stretched to "
                       f"{share[point]:.2g} of its cell, more than {MOST:g}; points are getting too few to fill their "
                       "cells, and stress is lost.  Use more points, a coarser grid, or domains='stretched' with a "
                       "method that has domains.", UserWarning, stacklevel=5)
@@ -124,9 +125,9 @@ def _check_part(support: Support, rows: csr_array, nodes: ndarray, point: int) -
     if free.any():
         way = "" if free.all() else " " + names[int(abs(ways[-1]).argmax())]
         raise NotConvergedError(
-            f"boundary: got a part of the body, with point {point} at {_place(support, point)}, that nothing holds"
-            f"{way}; expected planes and walls that hold every part.  Add a FixedPlane or a Wall there, or give dt: "
-            "with inertia a body may be free.")
+            f"boundary: got a part of the body, with {whereabouts(support.particles.x, point)}, that nothing "
+            f"holds{way}; expected planes and walls that hold every part.  Add a FixedPlane or a Wall there, or "
+            "give dt: with inertia a body may be free.")
 
 
 def _linked(links: csr_array, points: int) -> tuple[ndarray, ndarray]:
@@ -183,7 +184,3 @@ def _rigid(support: Support, nodes: ndarray) -> tuple[ndarray, list[str]]:
             names.append("against rotation" if dim == 2 else f"against rotation in the plane of axes {i} and {j}")
     columns = [motion.T.ravel() / np.linalg.norm(motion) for motion in motions]
     return np.stack(columns, axis=1) if columns else np.zeros((nodes.size * dim, 0)), names
-
-
-def _place(support: Support, point: int) -> str:
-    return f"({', '.join(f'{value:g}' for value in support.particles.x[:, point])})"

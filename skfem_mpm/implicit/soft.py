@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -35,25 +34,23 @@ def soft_stiffness(mesh: Mesh, support: Support, kinematics: Kinematics, elastic
     """
     size = support.transfer.shape[0]
     out = csc_array((size, size))
-    cells = np.stack(np.nonzero(support.sound))
-    if options.floor and cells.size:
-        out = out + _floor(support, kinematics, cells, partial(_floor_moduli, support, elastic, places, options),
-                           options)
+    if options.floor and support.sound.any():
+        out = out + _floor(support, kinematics, elastic, places, options)
     if options.ghost:
         modulus = young(elastic[:, :, elastic[0, 0].argmin()], places)      # of the softest point
         out = out + ghost_stiffness(mesh, support, support.occupied, options.ghost * modulus)
     return out
 
 
-def _floor(support: Support, kinematics: Kinematics, cells: ndarray, moduli: Callable[[ndarray], ndarray],
+def _floor(support: Support, kinematics: Kinematics, elastic: ndarray, places: Sequence[tuple[int, int]],
            options: Options) -> csc_array:
     """Soft stiffness of whole cells, with two Gauss points per axis; ordinary finite elements."""
-    index, x, area = gauss_points(support.grid, cells)
+    index, x, area = gauss_points(support.grid, np.stack(np.nonzero(support.sound)))
+    moduli = options.floor * _floor_moduli(support, elastic, places, options, index)
     volume = area * x[0] if kinematics.hoop else area
     stencil = support.grid.linear(x, index)
     floor = on_points(kinematics, stencil, stencil, volume, x[0])
-    return made_for(options.engine, floor).tangent(options.floor * moduli(index), support.number,
-                                                   support.transfer.shape[0])
+    return made_for(options.engine, floor).tangent(moduli, support.number, support.transfer.shape[0])
 
 
 def _floor_moduli(support: Support, elastic: ndarray, places: Sequence[tuple[int, int]], options: Options,

@@ -17,7 +17,7 @@ from ..cover import spans_of
 from ..grid import Grid
 from ..integration import on_points
 from ..integration.dilation import AveragedPair, Means, shares_of
-from ..kinematics import STRAINS, carried, stretched
+from ..kinematics import STRAINS, carried, moduli_at_rest, stretched
 from ..particles import Particles
 from ..support import Support, stack_rows
 from ..weights import weights
@@ -34,7 +34,6 @@ from .state import Options, State
 MAX_PASSES = 25
 MAX_INEXACT = 500    # with a tangent that is not the derivative of the residual; it must halve every MAX_PASSES
 SHARES = tuple(0.5 ** k for k in range(8))    # at the kinks of plastic flow only short ways along the tangent go down
-
 
 
 class Retry(Exception):
@@ -143,8 +142,8 @@ class Step:
 
     def _elastic(self) -> ndarray:
         """Moduli of the unstressed material, ``(m, m, 1)`` or ``(m, m, n)``."""
-        zero = np.zeros((self.particles.kinematics.ncomp, self.particles.n))
-        return self.material.tangent(zero, zero, self.motion.history, self.motion.places)
+        return moduli_at_rest(self.material, self.motion.history, self.particles.kinematics.ncomp, self.particles.n,
+                              self.motion.places)
 
     # -- a step ------------------------------------------------------------------------------------------------------
 
@@ -378,10 +377,10 @@ class Step:
         if trouble:
             raise Retry(trouble)
         check_yield(self.material, response, old.x, self.state.step + 1, self.options.yields)
+        volume = old.volume * response.ratio            # by the dilation that the stress knows of
         warn_of_folds(support, u, self.state.step + 1)
         if self.options.domains == "fixed" and not self.options.integration.covers:
-            warn_of_too_few(support, old, old.volume * response.ratio, self.state.step + 1)
-        volume = old.volume * response.ratio            # by the dilation that the stress knows of
+            warn_of_too_few(support, old, volume, self.state.step + 1)
         particles = replace(old, x=old.x + support.motion.to_points(u, plain=True), volume=volume,
                             sigma=response.sigma, epsilon=response.epsilon,
                             history=response.history if self.material.history else None)

@@ -6,9 +6,10 @@ stored packed, ``(ncomp, n)``, shear as the tensor component.
 """
 
 from .domains import DOMAINS, RADII, carried, stretched
-from .laws import beyond_yield, check_law
+from .laws import YIELD, beyond_yield, check_law, moduli_at_rest, words_of_yield
 from .motion import Kinematics, axisymmetric, plane_strain, solid, uniaxial
 from .strains import RATES, STRAINS, Logarithmic, Objective, Response, Small
 
-__all__ = ["DOMAINS", "RADII", "RATES", "STRAINS", "Kinematics", "Logarithmic", "Objective", "Response", "Small",
-           "axisymmetric", "beyond_yield", "carried", "check_law", "plane_strain", "solid", "stretched", "uniaxial"]
+__all__ = ["DOMAINS", "RADII", "RATES", "STRAINS", "YIELD", "Kinematics", "Logarithmic", "Objective", "Response",
+           "Small", "axisymmetric", "beyond_yield", "carried", "check_law", "moduli_at_rest", "plane_strain", "solid",
+           "stretched", "uniaxial", "words_of_yield"]

@@ -9,6 +9,8 @@ from numpy import ndarray
 
 Places = tuple[tuple[int, int], ...]
 
+YIELD = 1e-6       # stress beyond yield as a share of strength: a return mapping that has converged is far below
+
 
 def check_law(law: Any, *also: str) -> None:
     """Refuse what has not the four things that make a law, or lacks others that are needed here."""
@@ -74,6 +76,12 @@ def moduli(law: Any, strain: ndarray, stress: ndarray, history: ndarray, places:
     return tangent
 
 
+def moduli_at_rest(law: Any, history: ndarray | None, ncomp: int, n: int, places: Places) -> ndarray:
+    """The tangent of a law for ``n`` points without strain and stress."""
+    zero = np.zeros((ncomp, n))
+    return moduli(law, zero, zero, memory(law, history, n), places)
+
+
 def beyond_yield(law: Any, sigma: ndarray, epsilon: ndarray | None, history: ndarray) -> ndarray | None:
     """How far the stress of points is beyond yield, as a share of strength ``(n,)``; ``None`` if the law does not say.
 
@@ -92,3 +100,10 @@ def beyond_yield(law: Any, sigma: ndarray, epsilon: ndarray | None, history: nda
         raise ValueError(f"{type(law).__name__}.excess: got shape {excess.shape}, expected {stress.shape[1:]}, one "
                          "number for each point.")
     return excess
+
+
+def words_of_yield(law: Any, excess: float) -> tuple[str, str]:
+    """What is wrong with a point whose stress is beyond yield, and with what."""
+    name = type(law).__name__
+    return (f"has a stress that is beyond yield by {excess:.3g} of the strength, expected at most {YIELD:g}",
+            f"The return mapping of {name}.update has not converged, or {name}.excess is wrong.")
