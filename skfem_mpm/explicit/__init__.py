@@ -118,8 +118,8 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
     UserWarning
         Once each, if the method's strain is not conjugate to its forces (elastic waves then grow), the given time step
         is above the stable one, the body has twice the energy that was there for it, a guard is off, the law is nearly
-        incompressible and there is no remedy, points of a cell differ far in stiffness, or the body comes apart, be it
-        only because its points are too far from each other.
+        incompressible and there is no remedy, points of a cell differ far in stiffness, stay in tension where strain
+        lags behind them, or the body comes apart, be it only because its points are too far from each other.
 
     Examples
     --------

@@ -142,8 +142,9 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
     -----
     UserWarning
         If a guard is off, and where one that should ``warn`` has something to say; if the law is nearly incompressible
-        and there is no remedy, if points of a cell differ far in stiffness, or if the body comes apart, be it only
-        because its points are too far from each other.
+        and there is no remedy, points of a cell differ far in stiffness, a plane holds nothing, each cell holds one
+        point, domains reach over the axis, a cell turns inside out between its points, points are stretched to most
+        of a cell, or the body comes apart, be it only because its points are too far from each other.
 
     Examples
     --------
