@@ -29,7 +29,7 @@ def again(scene, full, tolerance, name):
     if not rows:
         return None
     near = [row for row in rows if row["cpu_s"] <= 1.3 * min(each["cpu_s"] for each in rows)]
-    choices = [{name: row[name] for name in full.about["arguments"] if row.get(name) is not None} for row in near]
+    choices = [{each: row[each] for each in full.about["arguments"] if row.get(each) is not None} for row in near]
     return min(study.tradeoff(scene, choices=choices, repeats=5, memory=False).rows, key=lambda row: row["cpu_s"])
 
 

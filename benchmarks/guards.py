@@ -13,7 +13,6 @@ those of the processor.  Prints medians over the turns, and smallest and largest
 """
 
 import argparse
-import inspect
 import os
 import time
 from dataclasses import replace
@@ -21,13 +20,11 @@ from dataclasses import replace
 import numpy as np
 from skfem import MeshQuad
 
-from skfem_mpm import LinearElastic, Particles, VonMises, explicit_steps, plane_strain
+from skfem_mpm import LinearElastic, Particles, VonMises, plane_strain
 from skfem_mpm.boundary import FixedPlane
+from skfem_mpm.explicit import run_before_its_start
+from skfem_mpm.explicit.engine import make_run
 from skfem_mpm.explicit.guards import LOOK_EVERY
-from skfem_mpm.explicit.prepare import prepare
-
-CHOICES = {name: each.default for name, each in inspect.signature(explicit_steps).parameters.items()
-           if each.kind is each.KEYWORD_ONLY and name not in ("steps", "every", "every_seconds")}
 
 LAWS = {"elastic": LinearElastic(E=1e3, nu=0.3),
         "von-mises": VonMises(E=1e3, nu=0.3, peak=1.0, residual=0.3, softening=-10.0)}
@@ -82,15 +79,15 @@ def in_kernels(run):
     tables, limits = run.tables, run.tables.limits.copy()
     begin = time.process_time()
     for _ in range(LOOK_EVERY):
-        chunks.measure_all(run.x, run.velocity, limits)
+        chunks.measure_all(run.x, run.x, run.velocity, limits)
         tables.survey()
     return time.process_time() - begin
 
 
 def shares(engine, method, law, points, turns):
     mesh, body, planes = block(points)
-    given = CHOICES | {"engine": engine, "method": method, "gravity": (0.0, -1.0)}
-    run = prepare(mesh, body, LAWS[law], planes, **given)
+    run = run_before_its_start(mesh, body, LAWS[law], planes, method=method, gravity=(0.0, -1.0))
+    run = make_run(engine, 1, mesh, run.last, LAWS[law], run.choices)
     seconds(run, 2)                                                       # compiles
     found, checks, kernels = [], [], []
     for turn in range(turns):

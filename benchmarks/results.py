@@ -119,7 +119,7 @@ def cheapest_table(found, page):
     """For round tolerances, the cheapest row that is within."""
     name, rows = found.error_name(page.quantity), [["within", "cheapest choice", "cells", "error", "seconds"]]
     for tolerance in TOLERANCES:
-        if tolerance < known(found, page):             # runs within cannot be told apart
+        if tolerance < found.known(page.quantity):     # runs within cannot be told apart
             break
         good = [row for row in found.front(page.quantity) if row[name] <= tolerance]
         if good:
@@ -160,20 +160,15 @@ def against_mpm(found, page):
     finest = max(plain, key=lambda row: row["cells"])
     best = min((row for row in found.rows if row["status"] == "done" and row["wall_s"] <= finest["wall_s"]),
                key=lambda row: row[name])
-    if known(found, page) > finest[name]:
+    if found.known(page.quantity) > finest[name]:
         return ""
     return (f"Plain `mpm` with {finest['cells']} cells takes {finest['wall_s']:.3g} s and is off by "
             f"{percent(finest[name])}. In no more time `{found.label(best)}` with {best['cells']} cells is off by "
             f"{percent(best[name])}, {finest[name] / best[name]:.0f} times less.")
 
 
-def known(found, page):
-    """How far the reference may itself be off."""
-    return found.about.get("known", {}).get(page.quantity, 0.0)
-
-
 def uncertainty(found, page):
-    off = known(found, page)
+    off = found.known(page.quantity)
     return (f"That reference may itself be off by {percent(off)}: runs whose errors are below that cannot be told "
             "apart." if off else "")
 

@@ -116,7 +116,7 @@ def trade(study: Any, quantity: str | None = None, costs: Sequence[str] = ("wall
     rows = [study.rows[index] for index in order]
     kinds, groups = [study.label(row) for row in rows], [str(row.get("method", "")) for row in rows]
     place = {id(row): index for index, row in enumerate(rows)}
-    known = study.about.get("known", {}).get(name[len("error_"):], 0.0)
+    known = study.known(quantity)
     for axes, cost in zip(places[0], costs):
         front = [place[id(row)] for row in study.front(quantity, cost)]
         error_against_cost(axes, study.column(cost)[order], study.column(name)[order], front, groups, kinds,

@@ -68,3 +68,8 @@ def low_planes(dim):
 def rms(values):
     """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def misfit(found, exact):
+    """Rms error relative to the rms of what is exact."""
+    return np.sqrt(((found - exact) ** 2).mean() / (exact ** 2).mean())

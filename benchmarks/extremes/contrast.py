@@ -6,14 +6,15 @@ from functools import partial
 import numpy as np
 from skfem import MeshLine
 
-from extremes.bodies import last, mechanical, until, with_noise
+from extremes.bodies import last, mechanical, misfit, until, with_noise
 from extremes.row import Row
 from skfem_mpm import LinearElastic, Particles, explicit_steps, implicit_steps, uniaxial
 from skfem_mpm.boundary import Wall
 
 SOFT, HARD = 10, 10                          # cells of the ends and of the middle of a bar
 CELLS = 2 * SOFT + HARD
-RATIO = 1e8
+RATIO = 1e8                                  # of stiffness
+DENSE = 1e6                                  # of density
 UNIT = LinearElastic(E=1.0, nu=0.0)
 STIFFNESS = "stiffness differs"
 PUSH = 1e-6
@@ -81,7 +82,7 @@ def wave_error(body, state):
     shape = quarter_waves(body.x[0])
     exact, moved = PUSH * np.sin(FREQUENCY * state.time) * shape, state.particles.x[0] - body.x[0]
     ends = shape != 0
-    return np.sqrt(((moved - exact)[ends] ** 2).mean() / (exact[ends] ** 2).mean())
+    return misfit(moved[ends], exact[ends])
 
 
 def swinging(body):
@@ -98,26 +99,27 @@ def after_an_eighth(mesh, body, law, choices):
     return until(EIGHTH, explicit_steps(mesh, body, law, steps=10 ** 9, every_seconds=EIGHTH / 10, **choices))
 
 
-def dense(ratio, shift=0.3):
-    mesh, body, heavy = bar(shift)
-    return mesh, replace(body, mass=body.mass * np.where(heavy, ratio, 1.0))
+def dense():
+    """A bar whose middle is far denser."""
+    mesh, body, heavy = bar(0.3)
+    return mesh, replace(body, mass=body.mass * np.where(heavy, DENSE, 1.0))
 
 
-def on_dense(choices, quick, ratio=1e6):
+def on_dense(choices, quick):
     """Waves in two bars that a far denser one joins."""
-    mesh, body = dense(ratio)
+    mesh, body = dense()
     return wave_error(body, after_an_eighth(mesh, swinging(body), UNIT, choices))
 
 
-def on_dense_implicit(choices, quick, ratio=1e6):
-    mesh, body = dense(ratio)
+def on_dense_implicit(choices, quick):
+    mesh, body = dense()
     state = last(implicit_steps(mesh, swinging(body), UNIT, steps=20, dt=EIGHTH / 20, **choices))
     return wave_error(body, state)
 
 
-def momentum(choices, quick, implicit, ratio=1e6):
+def momentum(choices, quick, implicit):
     """Change of momentum of a shaken bar whose middle is far denser, over the sum of its parts' sizes."""
-    mesh, body = dense(ratio)
+    mesh, body = dense()
     body = with_noise(body, 1e-3)
     if implicit:
         state = last(implicit_steps(mesh, body, UNIT, steps=20, dt=0.5, **choices))

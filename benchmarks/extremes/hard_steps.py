@@ -102,7 +102,7 @@ def pushed(choices, quick):
     ends = [replace(wall, increment=(way,)) for wall in state.boundary]
     exact = np.log(3.98 / 4)
     return worst_of(abs(at.reactions["high"][0] / exact - 1)
-               for at in implicit_steps(mesh, state, LINEAR, ends, steps=8 if quick else 50, **choices))
+                    for at in implicit_steps(mesh, state, LINEAR, ends, steps=8 if quick else 50, **choices))
 
 
 def slid(choices, quick):
@@ -256,6 +256,7 @@ def failing_solvers(choices, quick):
     """Solvers that give up, or answer with something that is no answer; each has to stop the run at the last state."""
     def gives_up(matrix, rhs):
         raise ArithmeticError("it gave up")
+
     def complains(matrix, rhs):
         raise ValueError("array must not contain infs or NaNs")
 

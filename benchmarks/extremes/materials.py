@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.special import j0, j1, y0, y1
 from skfem import MeshLine, MeshQuad
 
-from extremes.bodies import last, until
+from extremes.bodies import last, misfit, rms, until
 from extremes.contrast import ROWS as CONTRASTS
 from extremes.row import Row
 from extremes.strength import ROWS as STRENGTHS
@@ -36,9 +36,8 @@ def expansion(choices, quick, nu):
     cells, push, law = 20, 1e-6, LinearElastic(E=1.0, nu=nu)
     h = (OUTER - INNER) / cells
     mesh = MeshQuad.init_tensor(INNER + h * np.arange(-1, cells + 2), h * np.arange(-1, 3))
-    inside = (INNER, OUTER)
     body = Particles.fill(mesh, axisymmetric, where=lambda x: (
-        (x[0] > inside[0]) & (x[0] < inside[1]) & (x[1] > 0) & (x[1] < h)))
+        (x[0] > INNER) & (x[0] < OUTER) & (x[1] > 0) & (x[1] < h)))
     wall = Wall(np.array([[INNER, INNER], [0.0, h]]), (push, None), name="inner")
     held = [FixedPlane(1, 0.0, -1), FixedPlane(1, h, 1), wall]
     state = last(implicit_steps(mesh, body, law, held, steps=1, strain="small", **choices))
@@ -47,7 +46,7 @@ def expansion(choices, quick, nu):
     pressure = 2 * law.G * b / INNER ** 2 - 2 * (law.lam + law.G) * a
     exact = 2 * (law.lam + law.G) * a - 2 * law.G * b / body.x[0] ** 2
     load = abs(state.reactions["inner"][0] / (h * pressure) - 1)
-    return load, np.sqrt(((state.particles.sigma[0] - exact) ** 2).mean()) / pressure
+    return load, rms(state.particles.sigma[0] - exact) / pressure
 
 
 def load_error(choices, quick, nu):
@@ -85,7 +84,7 @@ def breathing(choices, quick, nu):
     moving = replace(body, velocity=1e-6 * frequency * mode)
     state = until(time, explicit_steps(mesh, moving, law, steps=10 ** 9, every_seconds=time / 10, **choices))
     exact = 1e-6 * np.sin(frequency * state.time) * mode
-    return np.sqrt(((state.particles.x - body.x - exact) ** 2).mean() / (exact ** 2).mean())
+    return misfit(state.particles.x - body.x, exact)
 
 
 def poisson_rows():

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.special import j0, j1
 from skfem import MeshLine, MeshQuad
 
-from extremes.bodies import last, until
+from extremes.bodies import last, misfit, rms, until
 from extremes.prescribed import sheared, turned
 from extremes.row import Row
 from skfem_mpm import LinearElastic, Particles, axisymmetric, explicit_steps, implicit_steps, uniaxial
@@ -67,7 +67,7 @@ def pulled(choices, quick, stretch, cells=4, per_cell=2, follows=False):
 
 
 def relative(found, exact):
-    return np.sqrt(((found - exact) ** 2).mean()) / abs(exact)
+    return rms(found - exact) / abs(exact)
 
 
 def thrown(choices, quick, stretch, cells):
@@ -125,7 +125,7 @@ def breathing_rod(choices, quick, radius=None):
     state = until(time, explicit_steps(mesh, moving, law, held, steps=10 ** 9, every_seconds=time / 10,
                                        engine="numpy", **choices))
     exact = 1e-6 * np.sin(k * speed * state.time) * shape
-    return np.sqrt(((state.particles.x - body.x - exact) ** 2).mean() / (exact ** 2).mean())
+    return misfit(state.particles.x - body.x, exact)
 
 
 # -- rows -------------------------------------------------------------------------------------------------------------

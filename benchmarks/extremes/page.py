@@ -61,7 +61,7 @@ def sentence(row, cells):
 
 
 def first_words(message):
-    """The message of a stop without its cure."""
+    """A message of a stop, cut off where it is long."""
     return message if len(message) < 200 else message[:200].rsplit(" ", 1)[0] + " …"
 
 

@@ -45,7 +45,7 @@ def astray(state, body):
 def on_nodes(choices, quick):
     """Largest stress in a rigid flight."""
     return worst_of(abs(flown(nodal(dim, aside), dim, 20, **choices).particles.sigma).max()
-               for dim in ((1, 2) if quick else (1, 2, 3)) for aside in ULPS)
+                    for dim in ((1, 2) if quick else (1, 2, 3)) for aside in ULPS)
 
 
 def patch(choices, quick):
@@ -128,7 +128,7 @@ def sticking_out(dim, cells, over):
 def cover_in_flight(choices, quick):
     """Largest stress, and largest distance from the straight path."""
     return worst_of(astray(flown(body, dim, 20, **choices), body) for dim in ((1, 2) if quick else (1, 2, 3))
-               for body in sticking_out(dim, 2, OVER))
+                    for body in sticking_out(dim, 2, OVER))
 
 
 def compared(run, dim, cells):

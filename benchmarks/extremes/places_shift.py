@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from skfem import MeshLine
 
-from extremes.bodies import last
+from extremes.bodies import last, rms
 from extremes.row import Row
 from skfem_mpm import LinearElastic, Particles, explicit_steps, uniaxial
 from skfem_mpm.scenes import block
@@ -53,7 +53,7 @@ def settled(offset, choices):
     scene = block(0.25, rotation=0.0, slide=0.0, steps=1, stretch=0.95, offset=offset)
     points, start = last(scene.run(**choices)).particles, scene.particles.x
     top = start[1] == start[1].max()
-    return (start - points.x)[1, top].mean(), np.sqrt(np.mean(points.stress[1, 1] ** 2))
+    return (start - points.x)[1, top].mean(), rms(points.stress[1, 1])
 
 
 def of_settlement(choices, quick):

@@ -6,9 +6,11 @@ The operators, the update of stress and domains, and the way in which points mov
 from dataclasses import replace
 
 import numpy as np
+from skfem import MeshQuad
 
 from extremes.bodies import LAW, block, grid_of
 from skfem_mpm.explicit import run_before_its_start
+from skfem_mpm.explicit.dilation import CellMeans
 from skfem_mpm.implicit import _check
 from skfem_mpm.implicit.state import State
 from skfem_mpm.implicit.step import Step
@@ -45,7 +47,6 @@ def explicitly(mesh, body, law, moves, strain, choices):
 def smoothed(run, nodes, gradient):
     if run.choices.remedy == "none":
         return gradient
-    from skfem_mpm.explicit.dilation import CellMeans
     return CellMeans(nodes.grid, nodes.mapping, nodes.integrated(run.volume)).smooth(gradient)
 
 
@@ -101,7 +102,6 @@ def sheared(solver, choices, strain, steps, total=10.0):
 
 
 def sheared_grid(total):
-    from skfem import MeshQuad
     return MeshQuad.init_tensor(np.arange(-4.0, 2 * total + 8), np.arange(-4.0, 8))
 
 

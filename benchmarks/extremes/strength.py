@@ -57,37 +57,42 @@ def pressed(choices, quick, law):
     return worst
 
 
-def column():
+WEIGHT = 0.1                                              # of a block, over E
+
+
+def heap():
     """A block on a rough floor with room to spread, and what holds it."""
     mesh = MeshQuad.init_tensor(np.arange(-1.0, ROOM + 1), np.arange(-2.0, SIDE + 5))
     body = Particles.fill(mesh, plane_strain, where=lambda x: ((x > 0) & (x < SIDE)).all(axis=0), density=1.0)
     return mesh, body, [FixedPlane(0, 0.0, -1), FixedPlane(1, 0.0, -1, (0, 1))]
 
 
-def fallen(choices, quick, law, weight):
-    """A block that its weight pulls apart: how far stress is beyond the yield surface, over the peak."""
-    mesh, body, held = column()
-    state = last(explicit_steps(mesh, body, law, held, steps=60 if quick else 150, every=10 ** 9,
-                                gravity=(0.0, -weight / SIDE), **choices))
+def fallen(choices, quick, law):
+    """The last state of a block that its weight pulls apart."""
+    mesh, body, held = heap()
+    return last(explicit_steps(mesh, body, law, held, steps=60 if quick else 150, every=10 ** 9,
+                               gravity=(0.0, -WEIGHT / SIDE), **choices))
+
+
+def beyond_yield(choices, quick, law):
+    """How far stress of the block is beyond the yield surface, over the peak."""
+    state = fallen(choices, quick, law)
     kept = law._cohesion(state.particles.history[0])
     return worst_of(0.0, (size(state.particles.sigma) - kept).max() / law.peak)
 
 
-def gained(choices, quick, law, weight):
+def gained(choices, quick, law):
     """Energy that comes from nowhere while the block falls apart, over the work of its weight."""
-    mesh, body, held = column()
-    state = last(explicit_steps(mesh, body, law, held, steps=60 if quick else 150, every=10 ** 9,
-                                gravity=(0.0, -weight / SIDE), **choices))
-    held = sum(state.energy[name] for name in ("kinetic", "elastic", "plastic"))
-    return worst_of(0.0, held / state.energy["external"] - 1)
+    energy = fallen(choices, quick, law).energy
+    return worst_of(0.0, sum(energy[name] for name in ("kinetic", "elastic", "plastic")) / energy["external"] - 1)
 
 
-def standing(choices, quick, weight=0.1):
+def standing(choices, quick):
     """The same block at rest, in load steps: it cannot stand."""
-    mesh, body, held = column()
-    state = last(implicit_steps(mesh, body, weak(weight), held, steps=2,
-                                gravity=lambda step: (0.0, -weight / SIDE * step / 2), **choices))
-    return size(state.particles.sigma).max() / weak(weight).peak
+    mesh, body, held = heap()
+    state = last(implicit_steps(mesh, body, weak(WEIGHT), held, steps=2,
+                                gravity=lambda step: (0.0, -WEIGHT / SIDE * step / 2), **choices))
+    return size(state.particles.sigma).max() / weak(WEIGHT).peak
 
 
 def confined(choices, quick, weight=1e-3):
@@ -118,16 +123,16 @@ ROWS = [
     Row("strength lost to nothing, implicit", FLAT.format("softening to 1e-12 of the peak"),
         partial(pressed, law=LOSES_ALL), holds=1e-3, useless=0.1, stops="Newton|residual"),
     Row("strength lost at once, explicit: yield", FALL.format(GONE, "stress beyond the yield surface, over the peak"),
-        partial(fallen, law=AT_ONCE, weight=0.1), holds=1e-9, useless=1e-3, stops=BROKEN),
+        partial(beyond_yield, law=AT_ONCE), holds=1e-9, useless=1e-3, stops=BROKEN),
     Row("strength lost to nothing, explicit: yield",
         FALL.format("softens to 1e-12 of its peak", "stress beyond the yield surface, over the peak"),
-        partial(fallen, law=LOSES_ALL, weight=0.1), holds=1e-9, useless=1e-3, stops=BROKEN),
+        partial(beyond_yield, law=LOSES_ALL), holds=1e-9, useless=1e-3, stops=BROKEN),
     Row("strength lost to nothing, explicit: energy",
         FALL.format("softens to 1e-12 of its peak", "energy gained from nowhere, over the work of the weight"),
-        partial(gained, law=LOSES_ALL, weight=0.1), holds=0.01, useless=0.5, stops=BROKEN),
+        partial(gained, law=LOSES_ALL), holds=0.01, useless=0.5, stops=BROKEN),
     Row("strength 1e-6 of the load, explicit: yield",
         FALL.format("carries 1e-6 of that", "stress beyond the yield surface, over the strength"),
-        partial(fallen, law=weak(0.1), weight=0.1), holds=1e-6, useless=1e-2, stops=BROKEN),
+        partial(beyond_yield, law=weak(WEIGHT)), holds=1e-6, useless=1e-2, stops=BROKEN),
     Row("strength 1e-6 of the load, implicit: confined",
         """The same soil between smooth walls, which is as good as a fluid; the largest error of the vertical stress as
         a mean over cells, over that at the bottom.""", confined, holds=0.01, useless=0.5, stops="Newton|residual"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,11 @@ from scipy.ndimage import binary_fill_holes
 from skfem import Mesh
 
 from ..explicit import ExplicitState, run_before_its_start
-from ..explicit.bound import chosen_step
 from ..explicit.nodes import Nodes
 from ..explicit.run import Run
 from ..particles import Particles
-from .edge import Growth, StepLimit, critical_step, growth
+from .edge import Growth, StepLimit, growth_of, limit_of, spectrum_of
 from .layout import Layout
-from .safe import usual_step
 
 
 @dataclass(frozen=True)
@@ -109,26 +108,27 @@ def diagnose(mesh: Mesh, start: Particles | ExplicitState, material: Any, bounda
     energy              kinetic 0, elastic 0
     """
     run = run_before_its_start(mesh, start, material, boundary, **choices)
-    nodes, linear = run._nodes(), {**choices, "damping": 0.0}
-    step = critical_step(mesh, start, material, boundary, **linear)
-    found = growth(mesh, start, material, boundary, **linear) if step.exact is not None else None
+    layout = Layout(run)
+    nodes, spectrum = layout.nodes, spectrum_of(layout)
     count, cover = _cells(run, nodes)
     heavy = nodes.mass[nodes.active]
-    return Diagnosis(run.x.shape[1], len(count), (int(count.min()), float(np.median(count)), int(count.max())),
-                     _holes(nodes), float(cover.min()), float(heavy.min() / np.median(heavy)), len(nodes.light), step,
-                     chosen_step(usual_step(Layout(run)), run.choices), found,
-                     run._stored(), run.choices.damping)
+    return Diagnosis(
+        points=run.x.shape[1], cells=len(count), holes=_holes(nodes), cover=float(cover.min()),
+        per_cell=(int(count.min()), float(np.median(count)), int(count.max())),
+        mass=float(heavy.min() / np.median(heavy)), light=len(nodes.light),
+        step=limit_of(layout, spectrum), dt=layout.first_step,
+        growth=None if spectrum is None else growth_of(spectrum, layout.first_step),
+        energy=run._stored(), damping=run.choices.damping)
 
 
 def _cells(run: Run, nodes: Nodes) -> tuple[ndarray, ndarray]:
     """Of cells that hold points, their number and the share of the cell that their volumes fill."""
-    shape, ring = nodes.grid.cells.shape, run.kinematics.hoop
-    number = np.ravel_multi_index(tuple(nodes.index), shape)
-    size = nodes.grid.steps[0]
-    if ring:
-        size = size * (nodes.grid.axes[0][1:] + nodes.grid.axes[0][:-1]) / 2      # the ring, per radian
-    for step in nodes.grid.steps[1:]:
-        size = np.multiply.outer(size, step)
+    grid = nodes.grid
+    number = np.ravel_multi_index(tuple(nodes.index), grid.cells.shape)
+    first, *others = grid.steps
+    if run.kinematics.hoop:
+        first = first * (grid.axes[0][1:] + grid.axes[0][:-1]) / 2                # the ring, per radian
+    size = reduce(np.multiply.outer, others, first)
     count, volume = np.bincount(number), np.bincount(number, weights=run.volume)
     held = np.flatnonzero(count)
     return count[held], volume[held] / size.ravel()[held]

@@ -10,11 +10,10 @@ import numpy as np
 from skfem import Mesh
 
 from ..explicit import ExplicitState, run_before_its_start
-from ..explicit.bound import chosen_step
 from ..explicit.prepare import check_spans
 from ..particles import Particles
 from .layout import Layout
-from .safe import safe_step, usual_step
+from .safe import safe_step
 from .spectrum import Spectrum
 
 LARGEST = 1500      # unknowns up to which the exact limit is found without being asked for
@@ -45,7 +44,7 @@ class StepLimit:
 
     def __str__(self) -> str:
         exact = "not looked for" if self.exact is None else f"{self.exact:.4g}"
-        said = {True: "; waves grow at any step", False: "", None: ""}[self.flutters]
+        said = "; waves grow at any step" if self.flutters else ""
         return f"stable up to {self.bound:.4g} for sure, exact limit {exact}{said}; {self.unknowns} unknowns"
 
 
@@ -91,8 +90,9 @@ def critical_step(mesh: Mesh, start: Particles | ExplicitState, material: Any, b
     The layout is at rest and free of stress, and the law linear, as stiff as it is at rest.  The exact limit is that
     of the eigenvalues of the whole step, :math:`2 / \omega_{\max}` with FLIP and not ``usl``, in any
     dimension, with every transfer, method, remedy and integration.  The bound comes from norms of blocks of
-    :math:`M^{-1} C M^{-1} K` and is at least as long as the one that runs take (:func:`skfem_mpm.explicit_steps`,
-    which hold to a cheaper one, are shorter still by ``safety``).
+    :math:`M^{-1} C M^{-1} K`.  With FLIP it is no shorter than the cheaper one that runs hold to, of which they take
+    the share ``safety``, nor is it as a rule where the stiffness is symmetric; with a share of PIC, or with XPIC, and
+    an unsymmetric stiffness it may be a hundred times shorter.
 
     Parameters
     ----------
@@ -126,11 +126,7 @@ def critical_step(mesh: Mesh, start: Particles | ExplicitState, material: Any, b
     layout = _layout(mesh, start, material, boundary, choices)
     if not (exact is None or isinstance(exact, (bool, np.bool_))):
         raise TypeError(f"exact: got {exact!r}, expected True, False or None.")
-    bound = safe_step(layout)
-    if not (layout.size <= LARGEST if exact is None else exact):
-        return StepLimit(bound, None, None, layout.size)
-    spectrum = Spectrum(layout)
-    return StepLimit(bound, spectrum.limit, spectrum.flutters, layout.size)
+    return limit_of(layout, spectrum_of(layout, exact))
 
 
 def growth(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundary: Sequence[Any] | None = None, *,
@@ -143,12 +139,10 @@ def growth(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundary
 
     Parameters
     ----------
-    mesh, start, material, boundary
-        As in :func:`skfem_mpm.explicit_steps`.
+    mesh, start, material, boundary, choices
+        As in :func:`critical_step`.
     dt
         The time step; if not given, what a run finds at its start.
-    choices
-        Those of :func:`skfem_mpm.explicit_steps`; ``damping`` must be zero, as local damping is not linear.
 
     Returns
     -------
@@ -158,7 +152,7 @@ def growth(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundary
     Raises
     ------
     ValueError, TypeError
-        As :func:`skfem_mpm.explicit_steps`, and if there is damping.
+        As :func:`critical_step`.
 
     Examples
     --------
@@ -176,13 +170,7 @@ def growth(mesh: Mesh, start: Particles | ExplicitState, material: Any, boundary
     """
     check_spans({"dt": dt})
     layout = _layout(mesh, start, material, boundary, choices)
-    spectrum = Spectrum(layout)
-    step = float(dt or chosen_step(usual_step(layout), layout.choices))
-    radius = spectrum.radius(step)
-    rate, cause = float(np.log(radius)) / step, "none"
-    if spectrum.grows(step):
-        cause = "step" if spectrum.limit > 0 and step > spectrum.limit else "flutter"
-    return Growth(step, radius, rate, spectrum.flutter, cause, spectrum.limit)
+    return growth_of(Spectrum(layout), float(dt or layout.first_step))
 
 
 def _layout(mesh: Mesh, start: Any, material: Any, boundary: Any, choices: dict[str, Any]) -> Layout:
@@ -191,3 +179,23 @@ def _layout(mesh: Mesh, start: Any, material: Any, boundary: Any, choices: dict[
         raise ValueError(f"damping: got {choices['damping']!r}, expected 0; local damping is not linear, so a step "
                          "with it has no eigenvalues: leave it out.")
     return Layout(run_before_its_start(mesh, start, material, boundary, **choices))
+
+
+def spectrum_of(layout: Layout, exact: bool | None = None) -> Spectrum | None:
+    """Eigenvalues of a layout if they are asked for, or, if nothing is said, if it is small."""
+    return Spectrum(layout) if (layout.size <= LARGEST if exact is None else exact) else None
+
+
+def limit_of(layout: Layout, spectrum: Spectrum | None) -> StepLimit:
+    """The stable steps of a layout, the exact one if its eigenvalues are known."""
+    exact, flutters = (None, None) if spectrum is None else (spectrum.limit, spectrum.flutters)
+    return StepLimit(safe_step(layout), exact, flutters, layout.size)
+
+
+def growth_of(spectrum: Spectrum, dt: float) -> Growth:
+    """What a step of this length does to the fastest growing wave of a layout, and why."""
+    radius = spectrum.radius(dt)
+    rate, cause = float(np.log(radius)) / dt, "none"
+    if rate > spectrum.noise(dt):
+        cause = "step" if spectrum.limit > 0 and dt > spectrum.limit else "flutter"
+    return Growth(dt, radius, rate, spectrum.flutter, cause, spectrum.limit)

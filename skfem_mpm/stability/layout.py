@@ -18,10 +18,12 @@ import numpy as np
 from numpy import ndarray
 from scipy.sparse import block_array, csr_array, diags_array, eye_array, kron, vstack
 
+from ..explicit.bound import chosen_step, stable_step
 from ..explicit.dilation import CellMeans
 from ..explicit.nodes import Nodes
 from ..explicit.operators import Operators
 from ..explicit.run import Run
+from ..explicit.state import remaps
 
 SYMMETRIC = 1e-10   # share of the largest entry by which a symmetric stiffness may miss
 
@@ -67,6 +69,26 @@ class Layout:
         """Number of unknowns."""
         return int(self.free.sum())
 
+    def _stable_step(self, remapped: bool, last: bool) -> float:
+        return float(stable_step(self.nodes, self.moduli, self.volume, self.mass, remapped, last))
+
+    @cached_property
+    def usual_step(self) -> float:
+        """The step that a run takes for stable."""
+        integrator, tpic = self.choices.integrator, self.choices.tpic
+        return self._stable_step(remaps(integrator, tpic), integrator == "usl")
+
+    @property
+    def first_step(self) -> float:
+        """The step that a run takes at its start."""
+        return chosen_step(self.usual_step, self.choices)
+
+    @property
+    def fastest(self) -> float:
+        """A bound of the frequencies that the layout has where velocities are mapped to the points and back."""
+        usual = remaps(self.choices.integrator, self.choices.tpic)
+        return 2 / (self.usual_step if usual else self._stable_step(True, False))
+
     @cached_property
     def half(self) -> csr_array:
         r""":math:`m^{1/2} N M^{-1/2}`, a root of the inertia, ``(dim * n, unknowns)``."""
@@ -105,9 +127,9 @@ class Layout:
 def spreading(nodes: Nodes) -> csr_array:
     """Velocities wherever points may read from those of active nodes, component fastest: what ``Nodes.spread`` does."""
     dim, size = nodes.grid.dim, nodes.grid.nnodes
-    parts = []
+    gathered, parts = _replaced(eye_array(size).tocsr(), nodes.light, nodes.share), []
     for i in range(dim):
-        matrix = _replaced(eye_array(size).tocsr(), nodes.light, nodes.share)
+        matrix = gathered
         for inside, outside, signs in nodes.mirrors[::-1]:
             matrix = _replaced(matrix, outside, float(signs[i, 0]) * matrix[inside])
         unit = csr_array(([1.0], ([i], [i])), shape=(dim, dim))

@@ -46,11 +46,11 @@ def crossings(before: ExplicitState, after: ExplicitState, mesh: Mesh) -> Crossi
     Examples
     --------
     >>> import numpy as np
+    >>> from dataclasses import replace
     >>> from skfem import MeshLine
     >>> from skfem_mpm import LinearElastic, Particles, explicit_steps, uniaxial
     >>> from skfem_mpm.stability import crossings
     >>> bar, mesh = Particles.fill(MeshLine(np.arange(3.0)), uniaxial), MeshLine(np.arange(-2.0, 9))
-    >>> from dataclasses import replace
     >>> bar = replace(bar, velocity=np.ones((1, 4)))
     >>> first, last = explicit_steps(mesh, bar, LinearElastic(E=1.0, nu=0.0), steps=10, every=5, dt=0.1)
     >>> crossings(first, last, mesh)
@@ -132,17 +132,15 @@ def ledger(states: Iterable[Any]) -> Ledger:
     >>> print(book.linear[0, -1].round(12), abs(book.balance).max() < 1e-12)
     -2.0 True
     """
-    held = list(states)
-    if not held:
+    found = [(state.step, state.time, state.energy, *_momenta(state.particles)) for state in states]
+    if not found:
         raise ValueError("states: got none, expected those of one run; call ledger(explicit_steps(...)).")
-    energies = [state.energy for state in held]
+    step, time, energies, linear, angular = zip(*found)
     books = {name: np.array([float(energy.get(name, np.nan)) for energy in energies]) for name in BOOKED}
     out = books["plastic"] + books["damped"] + books["removed"]
     gained = books["kinetic"] + books["elastic"] + out - books["external"]
-    moments = [_momenta(state.particles) for state in held]
-    angular = None if moments[0][1] is None else np.stack([each for _, each in moments], axis=-1)
-    return Ledger(np.array([state.step for state in held]), np.array([state.time for state in held]), **books,
-                  balance=gained - gained[0], linear=np.stack([each for each, _ in moments], axis=1), angular=angular)
+    return Ledger(np.array(step), np.array(time), **books, balance=gained - gained[0], linear=np.stack(linear, axis=1),
+                  angular=None if angular[0] is None else np.stack(angular, axis=-1))
 
 
 def _momenta(points: Any) -> tuple[ndarray, Any]:

@@ -1,4 +1,4 @@
-r"""Bounds of the stable step from norms of blocks, sharper than those that a run takes, and safe too.
+r"""Bounds of the stable step from norms of blocks, mostly sharper than the one that a run takes.
 
 No eigenvalue of a matrix exceeds the spectral radius of the norms of its blocks, whatever the blocks, nor that
 :math:`\max_I (B x)_I / x_I` for any :math:`x > 0` (Collatz and Wielandt).  A run takes the product of the norms of
@@ -11,21 +11,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..explicit.bound import power_bound, stable_step
-from ..explicit.state import remaps
+from ..explicit.bound import power_bound
 from .layout import Layout
 
 ROUNDING = 1e6      # times the step of a run: beyond, what is left of the product is rounding
 TINY = np.finfo(float).tiny
 FULL = 1_000_000    # entries up to which a matrix is multiplied: products have many more
-
-
-def usual_step(layout: Layout, remapped: bool | None = None) -> float:
-    """The step that a run takes for stable; perhaps that of velocities that are mapped to the points and back."""
-    choices = layout.choices
-    again = remaps(choices.integrator, choices.tpic) if remapped is None else remapped
-    last = choices.integrator == "usl" and not again
-    return float(stable_step(layout.nodes, layout.moduli, layout.volume, layout.mass, again, last))
 
 
 def safe_step(layout: Layout) -> float:
@@ -34,14 +25,14 @@ def safe_step(layout: Layout) -> float:
     As :math:`c \le F`, the share :math:`c / (1 + F)` is at most 1/2, and at most :math:`c / (1 + \alpha)` without XPIC;
     so :math:`K` alone gives one bound, and its product with :math:`C` another.
     """
-    usual, choices = usual_step(layout), layout.choices
+    usual, choices = layout.usual_step, layout.choices
     if choices.tpic:
         return usual
     flip, last = choices.flip == 1 and not choices.xpic, choices.integrator == "usl"
     steps = [np.sqrt((2 if last else 4) / _norm(layout.stiffness, layout.dim))]
     if layout.stiffness.nnz <= FULL and (flip or layout.symmetric and not last):
         product = layout.inertia @ layout.stiffness
-        share = 2.0 if flip else 1.0 if choices.xpic else 1 + choices.flip
+        share = 1.0 if choices.xpic else 1 + choices.flip
         operator = layout.stiffness - product / 2 if last else product / share
         steps.append(np.sqrt(2 / _tightened(operator, layout.dim)))
     elif flip:

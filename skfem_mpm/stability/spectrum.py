@@ -28,14 +28,13 @@ from numpy import ndarray
 from scipy.sparse import csr_array
 
 from .layout import Layout
-from .safe import usual_step
 
 ZERO = 1e-12        # squared frequencies below this share of a bound of theirs are rounding
 SLOW = 1e-5         # so are rates of growth below this share of the highest frequency
 GROWN = 1e-7        # so is growth below this in one step, where eigenvalues are double
 SHORT = 0.02        # of a step beyond every limit: one that is short
-TRIED = 32          # steps tried before bisection, and how often an interval is halved
-HALVINGS = 30
+TRIED = 32          # steps tried before bisection
+HALVINGS = 30       # of the interval that these leave
 
 
 class Spectrum:
@@ -54,11 +53,11 @@ class Spectrum:
         self.stiffness, self.slope = _dense(layout.stiffness, free), None
         if choices.tpic:
             self.slope = _dense(layout.slope, free)
-        self.symmetric, self.rounding = layout.symmetric, ZERO * (2 / usual_step(layout, remapped=True)) ** 2
+        self.symmetric, self.rounding = layout.symmetric, ZERO * layout.fastest ** 2
 
     @property
     def leapfrog(self) -> bool:
-        """Whether the step is a leapfrog: FLIP with ``musl`` or ``usf``."""
+        """Whether the step is a leapfrog: FLIP, and not ``usl``."""
         return self.flip == 1 and not (self.order or self.last or self.slope is not None)
 
     def _eigenvalues(self, root: ndarray) -> ndarray:
@@ -124,7 +123,7 @@ class Spectrum:
         anyway = 2 * max(self.flutter, self.rate(SHORT * high))
 
         def stable(dt: float) -> bool:
-            return not self.grows(dt, anyway)
+            return not self.rate(dt) > anyway + self.noise(dt)
 
         tried = high * np.linspace(0, 1, TRIED + 1)[1:]
         first = next((place for place, dt in enumerate(tried) if not stable(dt)), TRIED - 1)
@@ -146,9 +145,9 @@ class Spectrum:
         """Rate of growth with a step of this length."""
         return float(np.log(self.radius(dt)) / dt)
 
-    def grows(self, dt: float, anyway: float = 0.0) -> bool:
-        """Whether waves grow, perhaps faster than they do anyway, and it is not rounding."""
-        return self.rate(dt) > anyway + SLOW * self.highest + GROWN / dt
+    def noise(self, dt: float) -> float:
+        """Rate of growth that may be rounding, with a step of this length."""
+        return SLOW * self.highest + GROWN / dt
 
     def step(self, dt: float) -> ndarray:
         """The step as a matrix of :math:`V` and :math:`g` (and :math:`W`)."""

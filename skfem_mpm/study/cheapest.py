@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,9 @@ from ..checks import check_choice, check_positive
 from .choices import Choice, changes, crossed, distinct, key, label
 from .problems import Problem, find_problem
 from .store import Row
-from .trade import COSTS, Progress, Study, tradeoff
+from .trade import COSTS, WHOLE, Progress, Study, tradeoff
 from .trend import Trend
 
-WHOLE: Any = Integral      # of a type that mypy takes for any
 TRIES = 12                 # runs beyond the pilots
 MORE = 4                   # how much finer than the finest pilot a grid may get, if nothing is said
 
@@ -163,7 +161,7 @@ def cheapest(scene: Any, tolerance: float, quantity: str | None = None, *, choic
     search = _Search(problem, float(tolerance), quantity or problem.quantity, cost, most,
                      {"name": "cheapest", "out": out, "progress": progress, "memory": cost == "memory_mb"})
     study = search.pilot(ways, pilots)
-    search.warn_of_reference(study.about["known"].get(search.quantity, 0.0))
+    search.warn_of_reference(study.known(search.quantity))
     choice, predicted = search.best()
     row, = search.run([choice], repeats).rows
     reached = search.error(row) <= search.tolerance
@@ -196,6 +194,11 @@ class _Way:
     choice: Choice
     done: dict[int, Row]
     stopped: bool = False
+
+    @property
+    def warnings(self) -> str:
+        """What its last run that warned said; nothing if none did."""
+        return next((text for row in reversed(self.done.values()) if (text := row.get("warnings"))), "")
 
 
 class _Search:
@@ -241,12 +244,9 @@ class _Search:
 
     def _set_aside(self) -> None:
         """Leave out ways to compute that warn, but if all do: whatever their error here, they are not to be trusted."""
-        warned = {id(way): text for way in self.ways for row in way.done.values() if (text := row.get("warnings"))}
-        trusted = [way for way in self.ways if id(way) not in warned]
-        for way in self.ways:
-            if id(way) in warned:
-                what = "falls out" if trusted else "warns"
-                self.notes.append(f"{label(way.choice)} {what}: {warned[id(way)][:160]}")
+        trusted = [way for way in self.ways if not way.warnings]
+        what = "falls out" if trusted else "warns"
+        self.notes += [f"{label(way.choice)} {what}: {way.warnings[:160]}" for way in self.ways if way.warnings]
         self.ways = trusted or self.ways
 
     def warn_of_reference(self, known: float) -> None:
@@ -327,18 +327,22 @@ class _Search:
     def _closest(self) -> tuple[Choice, dict[str, float]]:
         """The run with the smallest error, after a word on why no way gets there."""
         for way in self.ways:
-            trend = self.trend(way)
-            needed = trend.needed(self.tolerance)
-            why = ("has one run only, which tells no order" if len(way.done) < 2 else
-                   f"stalls (orders {_orders(trend)})" if needed is None else
-                   f"would need some {needed:.3g} cells, more than {self.most}" if needed > self.most else
-                   f"was not found within {TRIES} runs")
-            if not (len(way.done) < 2 or needed is None or trend.asymptotic):
-                why += f"; but its runs are not in the asymptotic range (orders {_orders(trend)})"
             if not way.stopped:
-                self.notes.append(f"{label(way.choice)} {why}")
+                self.notes.append(f"{label(way.choice)} {self._why_not(way)}")
         cost, error, index, cells = min(self._measured(), key=lambda run: run[1])
         return {**self.ways[index].choice, "cells": cells}, {"error": error, "cost": cost}
+
+    def _why_not(self, way: _Way) -> str:
+        """Why a way to compute does not get within the tolerance."""
+        trend = self.trend(way)
+        needed, orders = trend.needed(self.tolerance), f"(orders {_orders(trend)})"
+        if len(way.done) < 2:
+            return "has one run only, which tells no order"
+        if needed is None:
+            return f"stalls {orders}"
+        why = (f"would need some {needed:.3g} cells, more than {self.most}" if needed > self.most else
+               f"was not found within {TRIES} runs")
+        return why if trend.asymptotic else f"{why}; but its runs are not in the asymptotic range {orders}"
 
     def compare(self, name: str, change: Choice, choice: Choice, row: Row, repeats: int) -> Smaller:
         """What a smaller model gives instead of the recommended choice."""

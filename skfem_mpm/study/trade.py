@@ -86,6 +86,10 @@ class Study:
             raise ValueError(f"quantity: got {quantity!r}, expected one of {', '.join(map(repr, self.quantities))}.")
         return f"error_{quantity or self.quantities[0]}"
 
+    def known(self, quantity: str | None = None) -> float:
+        """How far the reference of a quantity's error may itself be off; zero if it is exact."""
+        return self.about.get("known", {}).get(self.error_name(quantity)[len("error_"):], 0.0)
+
     def table(self, quantity: str | None = None) -> str:
         """The rows as text, the most accurate last: error, seconds with least and most, memory; ``*`` on the front."""
         name = self.error_name(quantity)
@@ -181,10 +185,13 @@ def tradeoff(scene: Any, methods: Sequence[Any] | None = None, cells: Sequence[i
         store.rows.setdefault(key(choice), _empty(choice))
     chosen = [(store.rows[key(choice)], choice) for choice in listed]
     try:
-        if executor is None:
-            _alone(problem, chosen, repeats, memory, store, progress or iter)
+        if executor is not None:
+            _spread(problem, chosen, executor, False, store, progress or iter)
+        elif memory and not repeats:                # nothing is timed, and each run has a process of its own
+            with ThreadPoolExecutor(cores()) as threads:
+                _spread(problem, chosen, threads, True, store, progress or iter)
         else:
-            _spread(problem, chosen, executor, measured, store, progress or iter)
+            _alone(problem, chosen, repeats, memory, store, progress or iter)
     finally:
         store.save(late=True)
     return Study({**store.about, "arguments": _arguments(listed)}, tuple(summary(row) for row, _ in chosen))
@@ -240,13 +247,7 @@ def _arguments(listed: Sequence[Choice]) -> list[str]:
 
 def _alone(problem: Problem, chosen: Sequence[tuple[Row, Choice]], repeats: int, memory: bool, store: Store,
            progress: Progress) -> None:
-    """All that is to be done of every row, one after the other: errors in the first round, then times.
-
-    Where no times are to follow, runs that have a process of their own go on side by side.
-    """
-    if memory and not repeats:
-        with ThreadPoolExecutor(cores()) as threads:
-            return _spread(problem, chosen, threads, measured_apart, store, progress)
+    """All that is to be done of every row, one after the other: errors in the first round, then times."""
     jobs = [(row, choice, turn) for turn in range(repeats + 1) for row, choice in chosen
             if (_open(row, memory) if turn == 0 else len(row["times"]) < turn)]
     warm: set[str] = set()
@@ -290,11 +291,11 @@ def _time(problem: Problem, choice: Choice, row: Row, warm: set[str]) -> None:
         row.update(errors={}, times=[])
 
 
-def _spread(problem: Problem, chosen: Sequence[tuple[Row, Choice]], executor: Executor, measure: Any, store: Store,
+def _spread(problem: Problem, chosen: Sequence[tuple[Row, Choice]], executor: Executor, memory: bool, store: Store,
             progress: Progress) -> None:
-    """Errors of every row, wherever the executor works them out."""
-    waiting = [index for index, (row, _) in enumerate(chosen) if _open(row, measure is measured_apart)]
-    task = partial(_numbered, measure, problem.make, [choice for _, choice in chosen])
+    """Errors of every row, and the memory of its run if wanted, wherever the executor works them out."""
+    waiting = [index for index, (row, _) in enumerate(chosen) if _open(row, memory)]
+    task = partial(_numbered, measured_apart if memory else measured, problem.make, [choice for _, choice in chosen])
     for index, found in progress(answers(executor, task, waiting, AHEAD)):
         chosen[index][0].update(found or {"status": "failed", "reason": DIED})
         store.save()
