@@ -73,8 +73,8 @@ def check_positive(name: str, value: Any) -> None:
 def check_counts(counts: Mapping[str, tuple[Any, int]]) -> None:
     """Refuse whole numbers that are too small; each comes with the least it may be."""
     for name, (count, least) in counts.items():
-        if not (isinstance(count, WHOLE) and count >= least):
-            raise ValueError(f"{name}: got {count}, expected a whole number of at least {least}.")
+        if not (isinstance(count, WHOLE) and count >= least) or isinstance(count, bool):
+            raise ValueError(f"{name}: got {count!r}, expected a whole number of at least {least}.")
 
 
 def check_spans(spans: Mapping[str, Any]) -> None:

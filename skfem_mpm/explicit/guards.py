@@ -239,7 +239,7 @@ class Guarded:
         np.minimum(self.tense, self.sigma[rows].max(axis=0), out=self.tense)
         if self.looks < PATIENCE:
             return
-        share = self.tense / self._moduli_at_rest()[0, 0]
+        share = self.tense / self.moduli_at_rest()[0, 0]
         self.tense, self.looks = np.full_like(share, np.inf), 0
         if share.max() > TENSE:
             point, self.tense = self._first(share == share.max()), None
@@ -249,7 +249,7 @@ class Guarded:
 
     looks = 0
 
-    def _moduli_at_rest(self) -> ndarray:
+    def moduli_at_rest(self) -> ndarray:
         """Stiffness of the points without strain and stress, ``(m, m, n)`` or ``(m, m, 1)``."""
         dim, n = self.x.shape
         return moduli_at_rest(self.material, self.history, len(self.sigma), n, self.kinematics.rows(dim))

@@ -242,7 +242,7 @@ class Run(Guarded):
 
     def _refresh(self, nodes: Nodes) -> None:
         """Find the stable time step of this layout."""
-        moduli = self._moduli_at_rest()
+        moduli = self.moduli_at_rest()
         volume = nodes.integrated(self.volume)
         if self.material.kirchhoff:           # what is linear in strain is Cauchy stress times the volume ratio
             volume = volume * np.exp(-self.epsilon[:3].sum(axis=0))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy import ndarray
 from skfem import ElementLineP1, ElementVector, Mesh, MeshLine
 
 from ..boundary import FixedPlane
-from ..checks import check_choice, check_positive
+from ..checks import check_choice, check_counts, check_positive
 from ..explicit import ExplicitState, explicit_steps
 from ..implicit import State, implicit_steps
 from ..kinematics import uniaxial
@@ -260,9 +259,7 @@ def bar(cells: int = 16, *, per_cell: int = 2, mode: int = 1, ends: str = "free"
 def _check(ends: str, counts: dict[str, Any], sizes: dict[str, Any]) -> None:
     """Refuse what makes no scene."""
     check_choice("ends", ends, ENDS)
-    for name, count in counts.items():
-        if not isinstance(count, Integral) or isinstance(count, bool) or count < 1:
-            raise ValueError(f"{name}: got {count!r}, expected a whole number of at least 1.")
+    check_counts({name: (count, 1) for name, count in counts.items()})
     for name, size in sizes.items():
         check_positive(name, size)
 

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from numbers import Integral
-from typing import Any
-
 import numpy as np
 from numpy import ndarray
 
-from ..checks import check_array
+from ..checks import check_array, check_counts
 from ..particles import Particles
-
-WHOLE: Any = Integral
 
 
 def roughness(points: Particles, values: ndarray, neighbours: int = 16) -> float:
@@ -45,8 +40,7 @@ def roughness(points: Particles, values: ndarray, neighbours: int = 16) -> float
     """
     from scipy.spatial import cKDTree  # slow to import
     x, values = points.x, check_array("values", values, (points.n,))
-    if not (isinstance(neighbours, WHOLE) and neighbours >= 1):
-        raise ValueError(f"neighbours: got {neighbours!r}, expected a whole number of at least 1.")
+    check_counts({"neighbours": (neighbours, 1)})
     distance, near = cKDTree(x.T).query(x.T, k=list(range(1, min(int(neighbours), points.n) + 1)))
     offset = (x[:, near] - x[:, :, None]) / np.maximum(distance.max(axis=1), np.finfo(float).tiny)[:, None]
     basis = [np.ones(near.shape), *offset]

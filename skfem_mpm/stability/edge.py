@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from skfem import Mesh
 
+from ..checks import check_spans
 from ..explicit import ExplicitState, run_before_its_start
-from ..explicit.prepare import check_spans
 from ..particles import Particles
 from .layout import Layout
 from .safe import safe_step

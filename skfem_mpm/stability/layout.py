@@ -54,8 +54,8 @@ class Layout:
 
     def __init__(self, run: Run):
         self.nodes, self.choices, self.mass = run._nodes(), run.choices, run.mass
-        nodes, zero, self.dim = self.nodes, np.zeros_like(run.sigma), run.dim
-        self.moduli = run.material.tangent(zero, zero, run.history, run.kinematics.rows(run.dim))
+        nodes, self.dim = self.nodes, run.dim
+        self.moduli = run.moduli_at_rest()
         if run.material.kirchhoff:           # what is linear in strain is Cauchy stress times the volume ratio
             self.moduli = self.moduli * np.exp(-run.epsilon[:3].sum(axis=0))
         self.volume = nodes.integrated(run.volume)

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_choice, check_positive
+from ..checks import check_choice, check_counts, check_positive
 from .choices import Choice, changes, crossed, distinct, key, label
 from .problems import Problem, find_problem
 from .store import Row
-from .trade import COSTS, WHOLE, Progress, Study, tradeoff
+from .trade import COSTS, Progress, Study, tradeoff
 from .trend import Trend
 
 TRIES = 12                 # runs beyond the pilots
@@ -180,8 +180,7 @@ def _check_sizes(pilots: Sequence[int], most: int | None, ways: Sequence[Choice]
     if len(pilots) < 2:
         raise ValueError(f"pilots: got {pilots}, expected at least two numbers of cells, from which to go on.")
     for name, number in [("pilots", each) for each in pilots] + [("most", pilots[-1] if most is None else most)]:
-        if not (isinstance(number, WHOLE) and number >= 1):
-            raise ValueError(f"{name}: got {number!r}, expected a whole number of cells of at least 1.")
+        check_counts({name: (number, 1)})
     if most is not None and most < pilots[-1]:
         raise ValueError(f"most: got {most}, expected at least the finest pilot, {pilots[-1]}; give coarser pilots.")
     return MORE * pilots[-1] if most is None else most

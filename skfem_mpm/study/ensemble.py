@@ -10,13 +10,13 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
-from numbers import Integral
 from pathlib import Path
 from platform import python_version
 from typing import Any
 
 import numpy as np
 
+from ..checks import check_counts
 from .ledger import Ledger, Row
 from .names import name_of
 from .processes import DIED, Processes, answers, cores
@@ -26,7 +26,6 @@ Function = Callable[[int, np.random.Generator], Mapping[str, float]]
 FAILURES = (ValueError, RuntimeError, ArithmeticError)      # of a realisation: the solvers' own errors are among them
 OWN = ("number", "status")                                  # what every row has
 FINISHED = "finished"
-WHOLE: Any = Integral          # of types that mypy takes for any: it does not know that these can be compared
 
 
 def ensemble(function: Function, count: int, *, seed: int = 0, out: str | os.PathLike | None = None,
@@ -191,11 +190,9 @@ def _check(function: Any, count: Any, seed: Any, executor: Any, workers: Any, ah
     """Refuse what makes no sense."""
     if not callable(function):
         raise TypeError(f"function: got {function!r}, expected a function of a number and a random generator.")
-    for name, number, least in [("count", count, 1), ("seed", seed, 0), ("workers", workers, 1), ("ahead", ahead, 1)]:
-        if number is None and name in ("workers", "ahead"):
-            continue
-        if not (isinstance(number, WHOLE) and number >= least):
-            raise ValueError(f"{name}: got {number!r}, expected a whole number of at least {least}.")
+    check_counts({"count": (count, 1), "seed": (seed, 0)})
+    check_counts({name: (number, 1) for name, number in {"workers": workers, "ahead": ahead}.items()
+                  if number is not None})
     if executor is not None and not isinstance(executor, Executor):
         raise TypeError(f"executor: got a {type(executor).__name__}, expected a concurrent.futures.Executor; of a Dask "
                         "client give client.get_executor().")

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from numbers import Integral
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
+from ..checks import check_counts
 from .choices import SIZES, Choice, crossed, key, label, plain
 from .pareto import pareto
 from .problems import Problem, find_problem
@@ -32,7 +32,6 @@ from .store import Row, Store, machine, read, summary
 COSTS = ("wall_s", "cpu_s", "memory_mb")
 Progress = Callable[[Iterable[Any]], Iterable[Any]]
 AHEAD = 1000               # runs handed out to an executor at once
-WHOLE: Any = Integral
 
 
 @dataclass(frozen=True)
@@ -225,8 +224,7 @@ def _check(problem: Problem, listed: Sequence[Choice], repeats: int, memory: boo
     if problem.spans and any("steps" in choice for choice in listed):
         raise ValueError(f"steps: got some for {problem.name!r}, whose runs cover a span of time in as many steps as "
                          "their cells make of it; leave them out.")
-    if not (isinstance(repeats, WHOLE) and repeats >= 0):
-        raise ValueError(f"repeats: got {repeats!r}, expected a whole number of at least 0.")
+    check_counts({"repeats": (repeats, 0)})
     if executor is not None and repeats:
         raise ValueError(f"executor: got one with repeats={repeats}, but timed runs are alone on their machine; "
                          "expected repeats=0.")
