@@ -12,7 +12,7 @@ from skfem_mpm.boundary import FixedPlane
 TITLE = "Long runs"
 WORDS = """
 A free elastic block of 5 x 5 cells with 100 points that rings with random velocities of a thousandth of the wave speed,
-or flies. The time step is the default one, half of the sure bound.
+or flies. The time step is the default one, half of the bound that runs take.
 """
 TRANSFERS = ("usavg", "usl", "usf", "pic 1 %", "xpic 2", "tpic")
 CELLS, NOISE = 5, 1e-3

@@ -13,7 +13,7 @@ def number(value):
     if value == math.inf:
         return "∞"
     if value is None or value == 0 or 0.01 <= abs(value) < 1000:
-        return "" if value is None else f"{value:.2g}"
+        return "" if value is None else f"{float(f'{value:.2g}'):g}"
     mantissa, exponent = f"{value:.1e}".split("e")
     return f"{mantissa.removesuffix('.0')}e{int(exponent)}"
 
@@ -54,7 +54,9 @@ def sentence(row, cells):
     words += f", wrong beyond {number(row.useless)}." if row.holds < row.useless < math.inf else "."
     stops = [(key, cell["message"]) for key, cell in cells.get(row.name, {}).items() if cell["verdict"] == "stops"]
     if stops:
-        words += (f" Stops in {len(stops)} cell{'s' * (len(stops) > 1)}, `{stops[0][0]}` with: "
+        remedied = sum("," in key for key, _ in stops)
+        among = f" ({remedied} with a remedy)" * bool(remedied)
+        words += (f" Stops in {len(stops)} cell{'s' * (len(stops) > 1)}{among}, `{stops[0][0]}` with: "
                   f"“{first_words(stops[0][1])}”")
     return "\n".join(textwrap.wrap(f"- **{row.name}.** {words}", 120, subsequent_indent="  ",
                                    break_long_words=False, break_on_hyphens=False))
@@ -95,7 +97,7 @@ Each row is an extreme, each cell what was measured there.
 - 🟨 **degrades**: beyond that limit and still of use; or worse, and the run said so.
 - 🟦 **stops**: the run ended with an error that says where, why and what to do, and keeps its last good state; or the
   set-up was refused before the first step.
-- 🟥 **wrong**: an answer of no use, given without a word. There is no such cell.
+- 🟥 **wrong**: an answer of no use, given without a word. There {wrong} such cell{s}.
 - ⚠: the run warned of it. –: the question makes no sense there.
 
 Numbers are what the row's sentence says is measured; smaller is better.
@@ -106,7 +108,9 @@ def page_of(families, stored):
     """The page, from the committed map."""
     families, cells, about = list(families), stored.get("full", {}), stored.get("about", {}).get("full")
     where = "\non {date} ({machine}, {cores} cores, {minutes} minutes)".format(**about) if about else ""
-    parts = [HEAD.format(about=where)]
+    wrong = sum(cell["verdict"] == "wrong" for of_row in cells.values() for cell in of_row.values())
+    parts = [HEAD.format(about=where, wrong=f"are {wrong}" if wrong > 1 else "is one" if wrong else "is no",
+                         s="s" * (wrong > 1))]
     for family in families:
         parts += [f"## {family.TITLE}\n", family.WORDS.strip() + "\n", family_table(family, cells) + "\n",
                   "\n".join(sentence(row, cells) for row in family.ROWS) + "\n"]
