@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
-from skfem import ElementHex1, ElementLineP1, ElementQuad1, MeshHex, MeshLine, MeshQuad
+from shared import MAKE
 
 from skfem_mpm import (
     METHODS,
@@ -22,8 +22,6 @@ from skfem_mpm.boundary import FixedPlane
 from skfem_mpm.grid import Grid
 from skfem_mpm.integration import INTEGRATIONS
 
-MESH = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
-ELEMENT = {1: ElementLineP1, 2: ElementQuad1, 3: ElementHex1}
 MOTIONS = [(1, uniaxial), (1, axisymmetric), (2, plane_strain), (2, axisymmetric), (3, solid)]
 
 powers = st.floats(-6, 6).map(lambda power: 10.0 ** power)
@@ -80,7 +78,7 @@ def layouts(draw, motion=motions, margin=0, most=8, **kind):
     if kinematics is axisymmetric:                                  # an axis of rotation far from the points
         lines = (lines[0] - lines[0][0] + draw(st.sampled_from([1.0, 100.0])) * (lines[0][-1] - lines[0][0]),
                  *lines[1:])
-    mesh = MESH[dim](*lines)
+    mesh = MAKE[dim](*lines)
     grid = Grid.from_mesh(mesh)
     x = draw(points(grid.axes, margin=margin, most=most))
     n = x.shape[1]
@@ -121,7 +119,7 @@ class Scene:
         stiff = {name: getattr(self.law, name) * stress for name in ("E", "peak", "residual", "softening")
                  if hasattr(self.law, name)}
         units = {"dt": late, "ramp": late, "gravity": fast / late}
-        return Scene(MESH[body.dim](*[axis * along for axis in Grid.from_mesh(self.mesh).axes]), moved,
+        return Scene(MAKE[body.dim](*[axis * along for axis in Grid.from_mesh(self.mesh).axes]), moved,
                      replace(self.law, **stiff), [replace(plane, at=plane.at * along) for plane in self.boundary],
                      {name: value * units.get(name, 1.0) if name in units else value
                       for name, value in self.choices.items()})
@@ -137,9 +135,9 @@ def blocks(draw, motion=motions, **kind):
     cells = [sorted(draw(st.lists(st.integers(1, len(line) - 2), min_size=2, max_size=2))) for line in lines]
     inner = [line[low:high + 2] for line, (low, high) in zip(lines, cells)]
     per_cell = draw(st.integers(1, 3 - dim // 2))
-    body = Particles.fill(MESH[dim](*inner), kinematics, density=draw(powers), per_cell=per_cell)
+    body = Particles.fill(MAKE[dim](*inner), kinematics, density=draw(powers), per_cell=per_cell)
     push = draw(st.sampled_from([0.0, 0.2])) * np.cos(np.arange(body.x.size)).reshape(body.x.shape)
-    return MESH[dim](*lines), replace(body, x=body.x + push * body.length)
+    return MAKE[dim](*lines), replace(body, x=body.x + push * body.length)
 
 
 @st.composite

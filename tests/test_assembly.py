@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from scipy.sparse import block_diag, csc_array, diags_array
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, every_motion
 
 from skfem_mpm import (
     METHODS,
@@ -28,9 +28,6 @@ from skfem_mpm.grid import Grid
 from skfem_mpm.implicit import solve, solve_cg, solve_direct
 from skfem_mpm.integration import OfTable, Pair, on_points
 
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
-CASES = [(uniaxial, 1), (axisymmetric, 1), (plane_strain, 2), (axisymmetric, 2), (solid, 3)]
-every_case = pytest.mark.parametrize("kinematics, dim", CASES, ids=lambda value: getattr(value, "name", value))
 LAW = LinearElastic(E=1e3, nu=0.3)
 
 
@@ -99,7 +96,7 @@ def close(one, other):
     assert abs(one - other).max(initial=0) <= 1e-13 * np.abs(other).max(initial=0)
 
 
-@every_case
+@every_motion
 def test_the_compiled_gradient_and_force_are_those_of_numpy(kinematics, dim):
     rng = np.random.default_rng(4)
     for pair in pairs(kinematics, dim):
@@ -113,7 +110,7 @@ def test_the_compiled_gradient_and_force_are_those_of_numpy(kinematics, dim):
             assert abs((fast.force(stress) * u).sum() - power) <= 1e-12 * np.abs(stress * pair.volume).sum()
 
 
-@every_case
+@every_motion
 @pytest.mark.parametrize("kind", ["all", "some nodes", "some components", "unseen"])
 def test_the_compiled_tangent_is_that_of_numpy(kinematics, dim, kind):
     for pair in pairs(kinematics, dim):
@@ -129,7 +126,7 @@ def test_the_compiled_tangent_is_that_of_numpy(kinematics, dim, kind):
             assert_array_equal(getattr(again, name), getattr(got, name))
 
 
-@every_case
+@every_motion
 def test_the_tangent_is_what_force_and_gradient_say(kinematics, dim):
     """Twice independent: a product with the matrix is force of moduli times gradient."""
     rng = np.random.default_rng(6)

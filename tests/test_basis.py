@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import ELEMENT
 from skfem import (
     BilinearForm,
     CellBasis,
@@ -67,7 +68,6 @@ from skfem_mpm import (
 from skfem_mpm.grid import Grid
 
 BASES = [ParticleBasis, GIMPBasis, CMPMBasis]
-LINEAR = {1: ElementLineP1, 2: ElementQuad1, 3: ElementHex1}
 KINEMATICS = {1: uniaxial, 2: plane_strain, 3: solid}
 LAM, MU = 1.3, 0.8
 
@@ -301,7 +301,7 @@ def scattered(mesh, n=150, seed=0, kinematics=None, inside=False, **more):
 def basis_of(kind, mesh, elem=None, points=None, **more):
     cls, options = KINDS[kind]
     points = points or scattered(mesh, inside=kind == "gimp ghost", **more)
-    return cls(mesh, elem or LINEAR[mesh.dim()](), points, **options)
+    return cls(mesh, elem or ELEMENT[mesh.dim()](), points, **options)
 
 
 def linear_field(x):

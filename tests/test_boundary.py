@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, MOTION, every_method
+from skfem import MeshLine, MeshQuad
 
 from skfem_mpm import (
     METHODS,
@@ -14,7 +15,6 @@ from skfem_mpm import (
     Particles,
     implicit_steps,
     plane_strain,
-    solid,
     uniaxial,
 )
 from skfem_mpm.boundary import FixedPlane, Wall
@@ -24,14 +24,12 @@ from skfem_mpm.scenes import cylinder
 from skfem_mpm.support import Support
 
 LAW = LinearElastic(E=100.0, nu=0.3)
-MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
-every_method = pytest.mark.parametrize("method", METHODS)
 
 
 def boxed(dim, cells=8):
     """A box of material with two spare cells on every side, all cells 0.125 wide."""
     axis = np.arange(-2, cells + 3) * 0.125
-    mesh = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[dim](*[axis] * dim)
+    mesh = MAKE[dim](*[axis] * dim)
     return mesh, Particles.fill(mesh, MOTION[dim], density=1.0,
                                 where=lambda x: ((x > 0) & (x < cells * 0.125)).all(axis=0))
 

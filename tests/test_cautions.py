@@ -1,11 +1,11 @@
-"""What a run warns of before it begins, and laws whose numbers differ from point to point."""
+"""What a run warns of: laws that lock or differ from point to point in a cell, and bodies that fly apart."""
 
 import warnings
 from dataclasses import replace
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from shared import compiled
 from skfem import MeshLine, MeshQuad
 
 from skfem_mpm import (
@@ -23,7 +23,6 @@ from skfem_mpm.cautions import Pieces
 UNIT = LinearElastic(E=1.0, nu=0.0)
 SOLVERS = {"explicit": explicit_steps, "implicit": implicit_steps}
 solvers = pytest.mark.parametrize("solve", SOLVERS.values(), ids=SOLVERS)
-compiled = pytest.mark.skipif(not find_spec("numba"), reason="numba is an extra")
 
 
 class Patches:
@@ -61,7 +60,8 @@ def heard(solve, mesh, body, law, boundary, **choices):
 @solvers
 @pytest.mark.parametrize("nu, warned", [(0.3, False), (0.45, False), (0.46, True), (0.499999, True)])
 def test_a_nearly_incompressible_law_is_warned_of(solve, nu, warned):
-    said = heard(solve, *square()[:2], LinearElastic(E=1.0, nu=nu), square()[2])
+    mesh, body, planes = square()
+    said = heard(solve, mesh, body, LinearElastic(E=1.0, nu=nu), planes)
     assert [f"{nu:g}" in word and "remedy='bbar'" in word for word in said] == [True] * warned
 
 
@@ -89,8 +89,7 @@ def layers(ratio, x, at):
 @pytest.mark.parametrize("at, ratio, warned", [(2.0, 1e8, False), (1.5, 1e8, True), (1.5, 50.0, False)])
 def test_points_of_a_cell_that_differ_in_stiffness_are_warned_of(solve, at, ratio, warned):
     mesh, body, planes = square()
-    choices = {"strain": "small"}
-    said = heard(solve, mesh, body, layers(ratio, body.x, at), planes, **choices)
+    said = heard(solve, mesh, body, layers(ratio, body.x, at), planes, strain="small")
     assert ["cell" in word and "point" in word for word in said] == [True] * warned
 
 
@@ -135,28 +134,7 @@ def test_a_law_with_numbers_for_each_point_sees_them_in_their_order():
         assert abs(ours - theirs).max() < 1e-10 * abs(ours).max()
 
 
-# -- bodies that come apart -------------------------------------------------------------------------------------------
-
-def pulled(steps, per_cell=2):
-    """Steps of a bar of 4 cells that is pulled by half a cell in each."""
-    body = Particles.fill(MeshLine(np.arange(5.0)), uniaxial, per_cell=per_cell)
-    wall = Wall(np.array([[4.0]]), (0.5,), name="end")
-    return implicit_steps(MeshLine(np.arange(-2.0, 14)), body, UNIT, [FixedPlane(0, 0.0, -1), wall], steps=steps)
-
-
-def test_a_bar_that_comes_apart_is_told_once():
-    """By then half of it carries nothing; up to a stretch of 1.4 it does, and nothing is said."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        *_, whole = pulled(3)
-    assert whole.particles.sigma.mean() > 0.5 * np.log(1.375)
-    with pytest.warns(UserWarning, match="step .*comes apart: points 0 at .* have no cell left that links") as said:
-        *_, apart = pulled(10)
-    texts = [str(each.message) for each in said]
-    assert [word in text for text, word in zip(texts, ("getting too few", "comes apart"))] == [True, True]
-    assert len(texts) == 2
-    assert abs(apart.particles.sigma).min() < 0.01 * np.log(2.25)
-
+# -- bodies that fly apart ---------------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize("engine", ["numpy", pytest.param("numba", marks=[pytest.mark.slow, compiled])])
 @pytest.mark.parametrize("start, warned", [("one", True), ("two", False)])

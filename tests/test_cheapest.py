@@ -135,7 +135,7 @@ def test_why_it_is_not_reachable():
         f"slow would need some {math.ceil(1 / 0.9e-3):.3g} cells"]
 
 
-def test_what_is_said_of_cells_that_would_be_needed_is_said_to_be_a_guess_where_it_is_one():
+def test_cells_that_would_be_needed_are_called_a_guess_where_they_are_one():
     bends = Law()
     bends.error = {10: 0.4, 20: 0.1, 40: 0.053}.get
     one = Law(1.0, 1.0, wrong=(10, 20))

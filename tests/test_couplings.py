@@ -3,16 +3,13 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, every_motion
 
-from skfem_mpm import METHODS, LinearElastic, Particles, axisymmetric, plane_strain, solid, uniaxial
+from skfem_mpm import METHODS, LinearElastic, Particles
 from skfem_mpm.explicit.bound import block_norms
 from skfem_mpm.explicit.nodes import Nodes
 from skfem_mpm.grid import Grid
 from skfem_mpm.integration import on_points
-
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
-CASES = [(uniaxial, 1), (axisymmetric, 1), (plane_strain, 2), (axisymmetric, 2), (solid, 3)]
 
 
 def layout(kinematics, dim, method, cells=4, per_cell=2):
@@ -38,7 +35,7 @@ def expected(nodes, moduli, volume):
 
 
 @pytest.mark.parametrize("cells, per_cell", [(1, 2), (4, 2), (2, 5)])
-@pytest.mark.parametrize("kinematics, dim", CASES, ids=lambda value: getattr(value, "name", value))
+@every_motion
 @pytest.mark.parametrize("method", METHODS)
 def test_norms_are_those_of_the_assembled_stiffness(method, kinematics, dim, cells, per_cell):
     nodes, body = layout(kinematics, dim, method, cells, per_cell)

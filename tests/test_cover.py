@@ -8,19 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, MOTION, MOTIONS, every_motion
+from skfem import MeshLine, MeshQuad
 
-from skfem_mpm import OutsideGridError, Particles, axisymmetric, plane_strain, solid, uniaxial
+from skfem_mpm import OutsideGridError, Particles, plane_strain, solid, uniaxial
 from skfem_mpm.boundary import FixedPlane
 from skfem_mpm.cover import Cover, parts, spans_of
 from skfem_mpm.grid import Grid
 
 AXES = [np.array([1, 1.3, 1.5, 1.9, 2.1, 2.6, 3.0, 3.3, 3.7]), np.array([-0.4, 0, 0.25, 0.6, 0.8, 1.1, 1.5, 1.8]),
         np.array([-0.5, -0.2, 0.1, 0.4, 0.8, 1.0, 1.3])]                     # graded
-MOTIONS = [(uniaxial, 1), (plane_strain, 2), (axisymmetric, 1), (axisymmetric, 2), (solid, 3)]
-every_motion = pytest.mark.parametrize("kinematics, dim", MOTIONS, ids=lambda value: getattr(value, "name", value))
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
-MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
 
 
 def grid_of(*axes):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import ElementHex1, ElementLineP1, ElementQuad1
+from shared import ELEMENT
 from test_cover import AXES, MAKE, MOTION, grid_of
 
 from skfem_mpm import CMPMBasis, Particles
@@ -15,7 +15,6 @@ from skfem_mpm.basis import CubicBasis
 from skfem_mpm.grid import available_sides, corner_nodes
 
 every_dim = pytest.mark.parametrize("dim", [1, 2, 3])
-ELEMENT = {1: ElementLineP1, 2: ElementQuad1, 3: ElementHex1}
 
 
 def points_in(grid, mask, seed=0, each=3):

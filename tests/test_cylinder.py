@@ -5,13 +5,13 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import every_method
 from skfem import ElementLineP1, ElementQuad1, ElementVector, MeshLine1, MeshQuad1
 
 from skfem_mpm import METHODS, Hencky, LinearElastic, Particles, axisymmetric
 from skfem_mpm.scenes import cylinder
 from skfem_mpm.scenes.cylinder_reference import deviatoric, lame, reaction_lame
 
-every_method = pytest.mark.parametrize("method", METHODS)
 INNER, OUTER, PUSH, E, NU = 1.0, 3.0, 0.015, 25e6, 0.3
 
 

@@ -27,7 +27,7 @@ def block(cells=4, where=None, kinematics=plane_strain, low=0.0):
 def test_a_full_block_is_told_as_it_is():
     found = diagnose(*block(), LAW)
     assert (found.points, found.cells, found.per_cell, found.holes, found.light) == (64, 16, (4, 4, 4), 0, 0)
-    assert_allclose([found.cover, found.mass], [1, 0.5])     # a corner has a quarter, most have half
+    assert_allclose([found.cover, found.mass], [1, 0.5])     # a corner has a quarter of a cell, the median node half
     assert found.growth.cause == "none" and found.energy["kinetic"] == 0
 
 
@@ -103,7 +103,7 @@ def test_crossings_are_those_of_a_flight():
     numbers = [crossings(one, two, mesh).number for one, two in zip(states, states[1:])]
     assert sum(numbers) == 16 and set(numbers) == {0, 8}             # 0.95 wide: each of two columns crosses once
     whole = crossings(states[0], states[-1], mesh)
-    assert whole.number == 16 and whole.share == 1 / 18
+    assert whole.number == 16 and whole.share == 1 / 18              # a point crosses once in 18 steps
 
 
 def test_crossings_go_forwards():

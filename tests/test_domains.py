@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, both_engines
+from skfem import MeshLine, MeshQuad
 
 from skfem_mpm import (
     METHODS,
@@ -220,7 +221,7 @@ def test_a_cylinder_without_a_hole_passes_the_patch_test(method):
 @pytest.mark.parametrize("dim, kinematics", [(1, uniaxial), (2, plane_strain), (3, solid)])
 def test_a_second_stretch_of_a_block_is_uniform_too(dim, kinematics):
     """With boxes of fixed size it is not."""
-    make = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[dim]
+    make = MAKE[dim]
     mesh = make(*[0.25 * np.arange(-1, 7)] + [0.25 * np.arange(3)] * (dim - 1))
     body = Particles.fill(make(*[0.25 * np.arange(5)] + [0.25 * np.arange(3)] * (dim - 1)), kinematics)
     other = [FixedPlane(k, at, side) for k in range(1, dim) for at, side in ((0.0, -1), (0.5, 1))]
@@ -406,10 +407,8 @@ def test_engines_agree_on_boxes_that_grow(dim, kinematics, scale, choices):
         assert np.abs(one - other).max() <= 1e-12 * np.abs(one).max(), name
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 def test_runs_with_growing_boxes_go_on_as_if_never_stopped(engine):
-    if engine == "numba":
-        pytest.importorskip("numba")
     scene = apart(2, plane_strain)
     whole = fly(scene, every=5, engine=engine)
     longest = [state.particles.length.max() for state in whole]

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, MOTIONS, every_method, every_motion
+from skfem import MeshLine
 
 from skfem_mpm import (
     METHODS,
@@ -32,15 +33,11 @@ from skfem_mpm.kinematics import Logarithmic
 from skfem_mpm.scenes import cylinder, ring
 from skfem_mpm.support import Support
 
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
 AXES = [np.array([0.8, 1.0, 1.2, 1.5, 1.7, 2.1, 2.3, 2.6, 2.8]), np.array([-0.3, 0, 0.25, 0.6, 0.8, 1.1, 1.4]),
         np.array([-0.5, -0.2, 0.1, 0.4, 0.7, 0.9, 1.1])]                     # graded
-CASES = [(uniaxial, 1), (axisymmetric, 1), (plane_strain, 2), (axisymmetric, 2), (solid, 3)]
-every_case = pytest.mark.parametrize("kinematics, dim", CASES, ids=lambda value: getattr(value, "name", value))
 NAMES = ["dm", "dm-g", "dm-stress", "dm-g-stress"]
 every_choice = pytest.mark.parametrize("name", NAMES)
 every_mapped_stress = pytest.mark.parametrize("name", ["dm-stress", "dm-g-stress"])
-every_method = pytest.mark.parametrize("method", METHODS)
 LAW = LinearElastic(E=1e3, nu=0.3)
 
 
@@ -76,7 +73,7 @@ def gauss_of(support, cells, ring):
 
 # The mapping.
 
-@every_case
+@every_motion
 @pytest.mark.parametrize("local", ["fe", "gimp"])
 def test_what_points_carry_is_conserved(kinematics, dim, local):
     """sum_g w_g D_g = sum_p V_p D_p sum_I S_Ip, and functions sum to one."""
@@ -89,7 +86,7 @@ def test_what_points_carry_is_conserved(kinematics, dim, local):
     assert matrix.data.min() >= 0                                        # so definite moduli stay definite
 
 
-@every_case
+@every_motion
 @pytest.mark.parametrize("local", ["fe", "gimp"])
 def test_the_mapping_is_the_formula(kinematics, dim, local):
     """Against the sum over cells and their nodes, with v by quadrature, written without products over the axes."""
@@ -116,7 +113,7 @@ def test_the_mapping_is_the_formula(kinematics, dim, local):
         assert_allclose(matrix[:, p], expected, atol=1e-13 * expected.max())
 
 
-@every_case
+@every_motion
 @pytest.mark.parametrize("local", ["fe", "gimp"])
 def test_a_uniform_full_cell_keeps_its_moduli(kinematics, dim, local):
     """Points whose functions add up to those of finite elements: Gauss points, or domains that tile the body."""
@@ -155,7 +152,7 @@ def test_a_half_filled_cell_keeps_half_of_its_moduli_and_lets_them_fall(dim):
     assert_allclose(found, np.broadcast_to(expected[:, None], found.shape), rtol=1e-12)
 
 
-@pytest.mark.parametrize("kinematics, dim, ring", [(*case, False) for case in CASES] +
+@pytest.mark.parametrize("kinematics, dim, ring", [(*case, False) for case in MOTIONS] +
                          [(axisymmetric, 1, True), (axisymmetric, 2, True)],
                          ids=lambda value: getattr(value, "name", value))
 @pytest.mark.parametrize("method", ["gimp", "fe-gimp"])
@@ -217,7 +214,7 @@ def test_a_single_point_off_the_middle_leaves_no_hourglass(dim, kinematics):
     assert resisting < len(value) - RIGID[dim] or dim == 1
 
 
-@every_case
+@every_motion
 @pytest.mark.parametrize("local", ["fe", "gimp"])
 def test_definite_moduli_make_a_symmetric_and_semi_definite_stiffness(kinematics, dim, local):
     """Moduli that differ from point to point; those that all share are the same given once."""
@@ -237,7 +234,7 @@ def test_definite_moduli_make_a_symmetric_and_semi_definite_stiffness(kinematics
     assert_allclose(once, each, atol=1e-13 * np.abs(each).max())
 
 
-@every_case
+@every_motion
 @pytest.mark.parametrize("local", ["fe", "gimp"])
 def test_in_full_cells_it_is_the_stiffness_of_finite_elements(kinematics, dim, local):
     """Whatever the moduli do within a cell, what is integrated is their interpolation from its nodes."""
@@ -267,7 +264,7 @@ def consistent(kinematics, dim, name, method="gimp"):
     return support, pair
 
 
-@every_case
+@every_motion
 @every_mapped_stress
 def test_the_force_of_mapped_stress_is_the_sum_over_gauss_points(kinematics, dim, name):
     """f = sum_g w_g grad N(x_g) sigma_g with sigma_g = M sigma: the stencil is that, summed beforehand."""
@@ -281,7 +278,7 @@ def test_the_force_of_mapped_stress_is_the_sum_over_gauss_points(kinematics, dim
     assert_allclose(pair.force(piola), expected, atol=1e-12 * np.abs(expected).max())
 
 
-@every_case
+@every_motion
 @every_mapped_stress
 def test_uniform_stress_in_full_cells_has_the_force_of_finite_elements(kinematics, dim, name):
     mesh = MAKE[dim](*AXES[:dim])
@@ -298,7 +295,7 @@ def test_uniform_stress_in_full_cells_has_the_force_of_finite_elements(kinematic
     assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
-@every_case
+@every_motion
 @every_mapped_stress
 def test_mapped_stress_moves_no_body_as_a_whole(kinematics, dim, name):
     """But for the hoop stress, which pulls towards the axis."""
@@ -321,7 +318,7 @@ def test_on_a_line_mapped_stress_is_what_it_was(name, twin):
     assert_allclose(pair.force(piola), plain.force(piola), atol=1e-12)
 
 
-@every_case
+@every_motion
 @every_mapped_stress
 @pytest.mark.parametrize("method", ["mpm", "gc"])
 @pytest.mark.parametrize("law", [LinearElastic(E=2.0, nu=0.3), Hencky(E=2.0, nu=0.3)],

@@ -6,11 +6,10 @@ import numpy as np
 import printed
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import ELEMENT
 from skfem import (
     BilinearForm,
     CellBasis,
-    ElementHex1,
-    ElementLineP1,
     ElementQuad1,
     ElementQuad2,
     ElementVector,
@@ -47,7 +46,6 @@ from skfem_mpm.grid import Grid, available_sides
 
 CMPM = {1: ElementLineCMPM, 2: ElementQuadCMPM, 3: ElementHexCMPM}
 GIMP = {1: ElementLineGIMP, 2: ElementQuadGIMP, 3: ElementHexGIMP}
-LINEAR = {1: ElementLineP1, 2: ElementQuad1, 3: ElementHex1}
 KINEMATICS = {1: uniaxial, 2: plane_strain, 3: solid}
 FAMILIES = {"cmpm": CMPM, "gimp": GIMP}
 
@@ -195,7 +193,7 @@ def test_cmpm_element_is_the_stencil_of_points(name, body):
     mesh = MESHES[name]
     occupied = whole(mesh) if body == "whole" else partly(mesh)
     x, cells, _ = scattered_in(mesh, occupied)
-    points = CMPMBasis(mesh, LINEAR[mesh.dim()](), points_at(mesh, x), occupied=np.flatnonzero(occupied))
+    points = CMPMBasis(mesh, ELEMENT[mesh.dim()](), points_at(mesh, x), occupied=np.flatnonzero(occupied))
     element = at_points(mesh, CMPM[mesh.dim()](), x, cells, occupied)
     u = np.random.default_rng(2).normal(size=mesh.nvertices)
     assert_allclose(np.asarray(element.interpolate(u)), np.asarray(points.interpolate(u)), rtol=0, atol=1e-12)
@@ -228,7 +226,7 @@ def test_gimp_element_is_the_stencil_of_points_of_its_size(name, size, body):
         value, gradient = table_at(grid, grid.gimp(x, grid.locate(x), length, "clip", sides), u)
     else:
         edges = "clip" if body == "clipped to the mesh" else "truncate"
-        points = GIMPBasis(mesh, LINEAR[mesh.dim()](), points_at(mesh, x, length), edges=edges)
+        points = GIMPBasis(mesh, ELEMENT[mesh.dim()](), points_at(mesh, x, length), edges=edges)
         value, gradient = np.asarray(points.interpolate(u))[:, 0], points.interpolate(u).grad[..., 0]
     assert_allclose(np.asarray(element.interpolate(u))[:, 0], value, rtol=0, atol=1e-12)
     assert_allclose(element.interpolate(u).grad[..., 0], gradient, rtol=0, atol=1e-12 / given.min())
@@ -254,14 +252,14 @@ def test_strain_of_a_moved_ring_through_a_stock_basis_is_that_of_the_points():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_degrees_of_freedom_are_those_of_the_linear_element_and_stand_at_their_nodes(family, name):
     mesh = MESHES[name]
-    elem, plain = FAMILIES[family][mesh.dim()](), CellBasis(mesh, LINEAR[mesh.dim()]())
+    elem, plain = FAMILIES[family][mesh.dim()](), CellBasis(mesh, ELEMENT[mesh.dim()]())
     basis = cells_of(mesh, elem, intorder=1)
     assert_array_equal(basis.nodal_dofs, plain.nodal_dofs)
     assert_allclose(basis.doflocs, plain.doflocs, rtol=0, atol=1e-13)
     assert basis.N == plain.N == mesh.nvertices
     assert basis.Nbfun == 4 ** mesh.dim()
     vector = cells_of(mesh, ElementVector(elem), intorder=1)
-    assert_array_equal(vector.nodal_dofs, CellBasis(mesh, ElementVector(LINEAR[mesh.dim()]())).nodal_dofs)
+    assert_array_equal(vector.nodal_dofs, CellBasis(mesh, ElementVector(ELEMENT[mesh.dim()]())).nodal_dofs)
     assert_allclose(vector.doflocs[:, vector.nodal_dofs[-1]], mesh.p, rtol=0, atol=1e-13)
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE
 
 from skfem_mpm import METHODS, LinearElastic, Particles, explicit_steps, plane_strain, solid, uniaxial
 from skfem_mpm.boundary import FixedPlane
@@ -15,7 +15,6 @@ from skfem_mpm.explicit.nodes import Nodes
 from skfem_mpm.grid import Grid
 
 KINEMATICS = {1: uniaxial, 2: plane_strain, 3: solid}
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
 LAW = LinearElastic(E=1e3, nu=0.3)
 CELLS = {1: 40, 2: 20, 3: 4}                                       # of the body, along each axis
 TENFOLD = {1: (9 * 40,), 2: (180, 0), 3: (36, 0, 0)}               # cells more, along each axis

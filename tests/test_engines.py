@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import block, both_engines
+from skfem import MeshQuad
 
 from skfem_mpm import (
     METHODS,
@@ -32,21 +33,6 @@ ELASTIC = LinearElastic(E=100.0, nu=0.3)
 PLASTIC = VonMises(E=100.0, nu=0.3, peak=2.0, residual=0.5, softening=-5.0)
 ARRAYS = ("x", "velocity", "sigma", "volume", "history", "epsilon")
 pytestmark = pytest.mark.filterwarnings("ignore:the strain of this method:UserWarning")
-
-
-def block(dim, kinematics, cells=4, axes=None):
-    """A block with random velocities on a rough floor, rising and tilting so that points cross cells."""
-    h, start = 1 / cells, 2.0 if kinematics is axisymmetric else 0.0
-    lines, axis = np.linspace(0, 1, cells + 1), h * np.arange(-1, cells + 4)
-    make = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[dim]
-    inner, outer = [lines + start, lines, lines][:dim], axes or [axis + start, axis, axis][:dim]
-    particles = Particles.fill(make(*inner), kinematics, density=1.0)
-    rng = np.random.default_rng(0)
-    particles = replace(particles, x=particles.x + 0.03 * h * rng.uniform(-1, 1, particles.x.shape),
-                        velocity=0.3 + 0.1 * rng.uniform(-1, 1, particles.x.shape))
-    floor = FixedPlane(dim - 1, start if dim == 1 else 0.0, -1, tuple(range(dim)), name="floor")
-    planes = [floor] + ([FixedPlane(0, start, -1, name="left")] if dim > 1 else [])
-    return make(*outer), particles, planes
 
 
 def run(body, law, steps=50, every=None, start=None, **choices):
@@ -158,7 +144,7 @@ def test_engines_agree_on_points_on_nodes_and_faces(method, integrator):
     check_equal(*both((mesh, particles, planes), ELASTIC, method=method, integrator=integrator))
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("method", METHODS)
 def test_points_on_a_smooth_plane_slide_along_it_without_stress(method, side, engine):
@@ -197,7 +183,7 @@ def test_threads_are_bit_identical_with_every_extra():
     check_identical(run(body, ELASTIC, threads=1, **choices)[-1], run(body, ELASTIC, threads=2, **choices)[-1])
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 @pytest.mark.parametrize("choices", [{"method": "gimp"}, {"method": "cmpm", "tpic": True}], ids=str)
 def test_a_continued_run_is_bit_identical(choices, engine):
     """From snapshots on, before and in between two sorts, and with the step found anew on the way."""
@@ -209,7 +195,7 @@ def test_a_continued_run_is_bit_identical(choices, engine):
             check_identical(a, b)
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 @pytest.mark.parametrize("length, mass, time", [(30, 0, 0), (0, 30, 0), (0, 0, 30), (30, -30, 30), (-30, 0, 0),
                                                 (0, -30, 0), (0, 0, -30), (-30, 30, -30), (0, 1, 0), (5, -7, 3)])
 def test_units_scaled_by_powers_of_two_change_no_bit(length, mass, time, engine):

@@ -4,13 +4,13 @@ import pickle
 import warnings
 from dataclasses import replace
 from functools import cache
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
-from skfem import MeshHex, MeshLine, MeshQuad, MeshTri
+from shared import FASTEST, MAKE, MOTION, SYMMETRIC, every_method, symmetric_methods
+from skfem import MeshLine, MeshQuad, MeshTri
 
 from skfem_mpm import (
     METHODS,
@@ -36,14 +36,8 @@ from skfem_mpm.kinematics import Objective
 
 LAW = LinearElastic(E=100.0, nu=0.3)
 SOIL = VonMises(E=100.0, nu=0.3, peak=2.0, residual=0.5, softening=-5.0)
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
-MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
 INTEGRATORS = ("musl", "usl", "usf", "usavg")
-FASTEST = "numba" if find_spec("numba") else "numpy"         # for long runs; test_engines says that they agree
-SYMMETRIC = [name for name, method in METHODS.items() if method.strain is method.force]
 ARRAYS = ("x", "volume", "mass", "velocity", "sigma", "history", "epsilon", "length")
-every_method = pytest.mark.parametrize("method", METHODS)
-symmetric_methods = pytest.mark.parametrize("method", SYMMETRIC)
 every_integrator = pytest.mark.parametrize("integrator", INTEGRATORS)
 pytestmark = pytest.mark.filterwarnings("ignore:the strain of this method:UserWarning")
 

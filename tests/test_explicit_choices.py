@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, MOTION, both_engines
+from skfem import MeshLine, MeshQuad
 
 from skfem_mpm import (
     METHODS,
@@ -32,8 +33,6 @@ from skfem_mpm.grid import Grid
 from skfem_mpm.integration import on_points
 
 LAW = LinearElastic(E=100.0, nu=0.3)
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
-MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
 every_motion = pytest.mark.parametrize("kinematics, dim", [(uniaxial, 1), (plane_strain, 2), (axisymmetric, 2),
                                                            (solid, 3)], ids=["bar", "plane", "rings", "space"])
 pytestmark = pytest.mark.filterwarnings("ignore:the strain of this method:UserWarning")
@@ -138,13 +137,11 @@ def test_tpic_keeps_linear_and_nearly_angular_momentum(method):
     assert drift[True] < 0.2 * drift[False]
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 @pytest.mark.parametrize("kinematics, dim", [(uniaxial, 1), (plane_strain, 2), (solid, 3)])
 def test_tpic_keeps_momentum_where_domains_are_cut_at_the_edge_of_the_grid(kinematics, dim, engine):
     """Gradients are those about the middle of what is left of a domain, not about the point."""
-    if engine == "numba":
-        pytest.importorskip("numba")
-    mesh = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[dim](*[np.arange(4.0)] * dim)
+    mesh = MAKE[dim](*[np.arange(4.0)] * dim)
     body = Particles.fill(mesh, kinematics)
     body = replace(body, x=1.5 + 1.04 * (body.x - 1.5), velocity=0.01 * np.sin(body.x[::-1] + body.x[0]))
     state = run(mesh, body, steps=3, method="gimp", edges="clip", tpic=True, flip=0.0, engine=engine)[-1]
@@ -379,7 +376,7 @@ def resting(engine="numpy", **choices):
     return mesh, run(mesh, body, steps=10, every=10, gravity=(0.0, -1.0), engine=engine, **choices)[-1]
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 def test_a_run_that_goes_on_with_other_choices_finds_its_step_anew(engine):
     mesh, state = resting(engine)
     assert run(mesh, state, steps=1, engine=engine)[-1].dt == state.dt
@@ -391,7 +388,7 @@ def test_a_run_that_goes_on_with_other_choices_finds_its_step_anew(engine):
         next(explicit_steps(mesh, state, LAW, steps=1, engine=engine, dt=1.0, method="mpm"))
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 def test_a_state_survives_pickling_and_copying(engine):
     mesh, state = resting(engine, tpic=True)
     on = run(mesh, state, steps=5, tpic=True, engine=engine)[-1]
@@ -401,7 +398,7 @@ def test_a_state_survives_pickling_and_copying(engine):
         assert dict(again.energy) == dict(on.energy)
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 def test_nothing_in_a_state_can_be_written(engine):
     mesh, body = fragments()
     state = run(mesh, body, steps=100, dt=0.01, leaving="remove", tpic=True, engine=engine)[-1]
@@ -411,7 +408,7 @@ def test_nothing_in_a_state_can_be_written(engine):
         state.energy["kinetic"] = 0.0
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 def test_points_that_leave_take_their_energy_along(engine):
     mesh, body = fragments()
     state = run(mesh, body, steps=100, dt=0.01, leaving="remove", engine=engine)[-1]
@@ -419,7 +416,7 @@ def test_points_that_leave_take_their_energy_along(engine):
     assert_allclose(state.energy["start"], mechanical(state) + state.energy["removed"], rtol=1e-12)
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 @pytest.mark.parametrize("damping", [0.1, 0.5, 1.0])
 def test_damping_never_takes_more_than_there_was(engine, damping):
     mesh, body = boxed(2, spare=6, random=0.0)
@@ -437,17 +434,23 @@ def test_energy_given_by_hand_counts_as_given():
     assert_allclose(on.energy["start"], body.mass.sum() * 0.01, rtol=1e-12)
 
 
+def bar_between_planes():
+    """A grid, a bar in it, its law and the planes that hold its ends."""
+    body = Particles.fill(MeshLine(np.arange(10, 21) * 0.05), uniaxial)
+    ends = [FixedPlane(0, 0.5, -1), FixedPlane(0, 1.0, 1)]
+    return MeshLine(np.arange(41) * 0.05), body, LinearElastic(E=1e3, nu=0.0), ends
+
+
 @pytest.mark.parametrize("method, integrator, stays", [("mpm", "musl", True), ("gimp", "usl", True),
                                                        ("gimp", "musl", False), ("cmpm-c", "musl", False),
                                                        ("cmpm-c", "usl", True)])
 def test_a_bar_in_tension_stays_at_rest_but_where_slopes_change_and_strain_is_remapped(method, integrator, stays):
     """A known limit: strain lags behind positions, and tension makes that negative damping, at any step."""
-    body = Particles.fill(MeshLine(np.arange(10, 21) * 0.05), uniaxial)
+    mesh, body, law, ends = bar_between_planes()
     noise = 1e-6 * np.random.default_rng(0).normal(size=(1, body.n))
     body = replace(body, sigma=np.full((1, body.n), 30.0), velocity=noise)
-    ends = [FixedPlane(0, 0.5, -1), FixedPlane(0, 1.0, 1)]
-    state = run(MeshLine(np.arange(41) * 0.05), body, LinearElastic(E=1e3, nu=0.0), ends, steps=1500, every=1500,
-                method=method, integrator=integrator, safety=0.8, refresh=50)[-1]
+    state = run(mesh, body, law, ends, steps=1500, every=1500, method=method, integrator=integrator, safety=0.8,
+                refresh=50)[-1]
     assert (abs(state.particles.velocity).max() < 1e-5) == stays
 
 
@@ -456,17 +459,15 @@ def test_a_bar_in_tension_stays_at_rest_but_where_slopes_change_and_strain_is_re
                                                 (30.0, {"integrator": "usl"}, False), (-30.0, {}, False)])
 def test_lasting_tension_is_told_once(engine, stress, more, told):
     """Of a bar between planes; one that vibrates at four times the limit is not meant."""
-    body = Particles.fill(MeshLine(np.arange(10, 21) * 0.05), uniaxial)
-    mesh, law, ends = MeshLine(np.arange(41) * 0.05), LinearElastic(E=1e3, nu=0.0), [FixedPlane(0, 0.5, -1),
-                                                                                   FixedPlane(0, 1.0, 1)]
+    mesh, body, law, ends = bar_between_planes()
     held = replace(body, sigma=np.full((1, body.n), stress))
     ringing = replace(body, velocity=0.04 * np.sqrt(1e3) * np.cos(2 * np.pi * (body.x - 0.5)))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         for body, planes in ((held, ends), (ringing, ())):
             list(explicit_steps(mesh, body, law, planes, steps=1200, every=1200, engine=engine, **more))
-    said = [str(each.message) for each in said if "in tension" in str(each.message)]
-    assert len(said) == told and all("for 500 steps" in text and "xpic=2" in text for text in said)
+    texts = [str(each.message) for each in said if "in tension" in str(each.message)]
+    assert len(texts) == told and all("for 500 steps" in text and "xpic=2" in text for text in texts)
 
 
 def test_a_law_without_stiffness_needs_a_step():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, block
 
 from skfem_mpm import (
     METHODS,
@@ -36,20 +36,16 @@ kinds = pytest.mark.parametrize("dim, kinematics", KINDS, ids=["1d", "2d", "3d",
 twins = pytest.mark.parametrize("twin", ["twin", "twin2", "dual"])
 
 
-def mesh_of(dim, *axes):
-    return {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[dim](*axes)
-
-
 def layout(dim, kinematics, seed, jitter=0.3, cells=3, spacing=1.0):
     """A shifted and jittered block of points in a grid with room around."""
     rng = np.random.default_rng(seed)
     start = 5.0 if kinematics.hoop else 0.0
     axis = start + spacing * np.arange(-2.0, cells + 4)
     lines = start + np.linspace(0, cells, cells + 1)
-    body = Particles.fill(mesh_of(dim, *[lines] * dim), kinematics, density=2.0)
+    body = Particles.fill(MAKE[dim](*[lines] * dim), kinematics, density=2.0)
     shift = rng.uniform(0, 1, (dim, 1)) * spacing
     x = body.x + shift + jitter / 2 * rng.uniform(-1, 1, body.x.shape)
-    return mesh_of(dim, *[axis] * dim), replace(body, x=x)
+    return MAKE[dim](*[axis] * dim), replace(body, x=x)
 
 
 def nodes_of(mesh, body, twin="twin", planes=(), method="mpm"):
@@ -196,20 +192,6 @@ def test_means_over_cells_keep_the_operator_symmetric(twin):
 
 
 # -- runs -------------------------------------------------------------------------------------------------------------
-
-
-def block(dim, kinematics, cells=4):
-    """A block in motion on a rough floor, rising and tilting so that points cross cells."""
-    h, start = 1 / cells, 2.0 if kinematics.hoop else 0.0
-    lines, axis = np.linspace(0, 1, cells + 1), h * np.arange(-1, cells + 4)
-    inner, outer = [lines + start, lines, lines][:dim], [axis + start, axis, axis][:dim]
-    particles = Particles.fill(mesh_of(dim, *inner), kinematics, density=1.0)
-    rng = np.random.default_rng(0)
-    particles = replace(particles, x=particles.x + 0.03 * h * rng.uniform(-1, 1, particles.x.shape),
-                        velocity=0.3 + 0.1 * rng.uniform(-1, 1, particles.x.shape))
-    floor = FixedPlane(dim - 1, start if dim == 1 else 0.0, -1, tuple(range(dim)), name="floor")
-    planes = [floor] + ([FixedPlane(0, start, -1, name="left")] if dim > 1 else [])
-    return mesh_of(dim, *outer), particles, planes
 
 
 def run(body, law=ELASTIC, steps=50, every=None, start=None, **choices):

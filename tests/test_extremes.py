@@ -12,13 +12,14 @@ from skfem_mpm import LinearElastic, Particles, VonMises, axisymmetric
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from extremes import materials, motion, prescribed, strength  # noqa: E402
+from extremes.row import MUST  # noqa: E402
 
-METHODS = pytest.mark.parametrize("method", ["mpm", "gimp", "cmpm-c"])
-WAYS = pytest.mark.parametrize("solver", ["explicit", "implicit"])
+methods = pytest.mark.parametrize("method", MUST)
+solvers = pytest.mark.parametrize("solver", ["explicit", "implicit"])
 
 
-@METHODS
-@WAYS
+@methods
+@solvers
 def test_a_turned_body_keeps_its_stress(method, solver):
     assert prescribed.turned(solver, {"method": method}, "logarithmic", 10.0, 36) < 1e-12
 
@@ -34,7 +35,7 @@ def test_the_drift_of_the_objective_rate_is_of_first_order():
     assert np.log2(coarse / fine) == pytest.approx(1, abs=0.05)
 
 
-@METHODS
+@methods
 def test_simple_shear_follows_the_closed_forms(method):
     choices = {"method": method}
     assert prescribed.sheared("explicit", choices, "logarithmic", 20, total=3.0) < 1e-12
@@ -55,7 +56,7 @@ def test_the_breathing_mode_leaves_its_faces_free(nu):
         assert frequency == pytest.approx(np.sqrt(16 / 9 * law.G / np.log(3)), rel=1e-4)
 
 
-@METHODS
+@methods
 @pytest.mark.filterwarnings("ignore:material. Poisson")
 def test_a_ratio_of_half_is_told_by_the_measure(method):
     """Locked, and not with the remedy."""
@@ -76,6 +77,9 @@ def test_strength_along_the_path_of_a_softening_soil():
 def test_strength_may_be_next_to_nothing_but_not_nothing():
     with pytest.raises(ValueError, match="residual: got 0"):
         VonMises(E=1.0, nu=0.3, peak=1e-3, residual=0.0)
+
+
+def test_softening_is_no_steeper_than_the_return_mapping_can_follow():
     with pytest.raises(ValueError, match="steeper than the return mapping can follow"):
         replace(strength.AT_ONCE, softening=-np.sqrt(3) * strength.AT_ONCE.G * (1 + 1e-12))
 

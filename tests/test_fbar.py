@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE
+from skfem import MeshQuad
 
 from skfem_mpm import (
     METHODS,
@@ -26,7 +27,6 @@ from skfem_mpm.implicit import State, _check, solve
 from skfem_mpm.implicit.step import Step, _Problem
 from skfem_mpm.integration.dilation import Means, shares_of
 
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
 MOTIONS = [(plane_strain, 2), (axisymmetric, 1), (axisymmetric, 2), (solid, 3)]
 STIFF = LinearElastic(E=1.0, nu=0.4999)
 LAWS = {"small": (STIFF, VonMises(E=1.0, nu=0.4999, peak=5e-3, residual=1e-3, softening=-1e-3)),

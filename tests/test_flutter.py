@@ -2,24 +2,17 @@
 
 import warnings
 from dataclasses import replace
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from skfem import MeshLine, MeshQuad
+from shared import FASTEST, FLUTTERING, MAKE, MOTION, symmetric_methods
 
-from skfem_mpm import METHODS, LinearElastic, Particles, UnstableError, explicit_steps, plane_strain, uniaxial
+from skfem_mpm import METHODS, LinearElastic, Particles, UnstableError, explicit_steps
 from skfem_mpm.explicit.nodes import Nodes
 from skfem_mpm.grid import Grid
 
 LAW = {1: LinearElastic(E=1.0, nu=0.0), 2: LinearElastic(E=1.3 * 0.4 / 0.7, nu=0.3)}     # pressure waves of speed 1
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor}
-MOTION = {1: uniaxial, 2: plane_strain}
-FASTEST = "numba" if find_spec("numba") else "numpy"     # for long runs; test_engines says that they agree
-SYMMETRIC = [name for name, method in METHODS.items() if method.strain is method.force]
-FLUTTERING = [name for name in METHODS if name not in SYMMETRIC]
-symmetric_methods = pytest.mark.parametrize("method", SYMMETRIC)
 fluttering_methods = pytest.mark.parametrize("method", FLUTTERING)
 both_dimensions = pytest.mark.parametrize("dim, cells", [(1, 20), (2, 6)], ids=["bar", "block"])
 quiet = pytest.mark.filterwarnings("ignore:the strain of this method:UserWarning")

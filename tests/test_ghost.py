@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, every_method
 
 from skfem_mpm import (
     METHODS,
@@ -33,11 +33,10 @@ import conditioning  # noqa: E402
 LAW = LinearElastic(E=100.0, nu=0.3)
 CASES = [(1, uniaxial), (1, axisymmetric), (2, plane_strain), (2, axisymmetric), (3, solid)]
 every_case = pytest.mark.parametrize("dim, kinematics", CASES, ids=lambda value: getattr(value, "name", value))
-every_method = pytest.mark.parametrize("method", METHODS)
 
 
 def tensor_mesh(*axes):
-    return {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[len(axes)](*axes)
+    return MAKE[len(axes)](*axes)
 
 
 def ragged(dim, kinematics, method="mpm", scale=1.0, offset=0.0):

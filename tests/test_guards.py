@@ -8,10 +8,12 @@ import sys
 import time
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from shared import both_engines
 from skfem import MeshLine, MeshQuad
 
 from skfem_mpm import (
@@ -39,7 +41,7 @@ DOWN = (0.0, -1.0)
 ARRAYS = ("x", "volume", "mass", "length", "velocity", "sigma", "epsilon", "history", "slope")
 CHOICES = {name: each.default for name, each in inspect.signature(explicit_steps).parameters.items()
            if each.kind is each.KEYWORD_ONLY and name not in ("steps", "every", "every_seconds")}
-both_engines = pytest.mark.parametrize("engine", ["numpy", "numba"])
+MIDDLE = 21                                     # a point inside the block, in which a number goes wrong
 
 
 class Own(VonMises):
@@ -59,16 +61,14 @@ def prepared(law=SOIL, **choices):
     return prepare(mesh, body, law, FLOOR, **CHOICES | {"gravity": DOWN, "damping": 0.1} | choices)
 
 
-def quiet(run):
+def listed(action, run):
+    """All states of a run, whose warnings are no news or errors."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter(action)
         return list(run)
 
 
-def strict(run):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        return list(run)
+quiet, strict = partial(listed, "ignore"), partial(listed, "error")
 
 
 # -- finite numbers ----------------------------------------------------------------------------------------------------
@@ -81,7 +81,7 @@ def injected(name, wrong, after, **choices):
     array = getattr(run, name)
     if array is None or not array.size:
         return None
-    array, at = array.copy(), np.flatnonzero(run.order == 21)[0] if run.engine == "numba" else 21
+    array, at = array.copy(), np.flatnonzero(run.order == MIDDLE)[0] if run.engine == "numba" else MIDDLE
     array[..., at] = wrong
     setattr(run, name, array)
     with pytest.raises((UnstableError, OutsideGridError)) as caught:
@@ -101,10 +101,10 @@ def test_a_number_that_is_not_finite_is_caught_within_the_step(engine, choices):
         for wrong, after in ((np.nan, 0), (np.nan, 2), (np.inf, 1), (-np.inf, 1)):
             message = injected(name, wrong, after, engine=engine, **choices)
             if message is not None:
-                point = "21" if name in ("x", "mass", "length") else r"\d+"
+                point = MIDDLE if name in ("x", "mass", "length") else r"\d+"
                 assert re.match(rf"step {after + 1}: point {point} at \(.*(no longer finite|inside out)", message), name
                 seen += 1
-    assert seen >= 24
+    assert seen >= 4 * 6                            # every run has x, volume, mass, length, velocity and sigma
 
 
 @pytest.mark.parametrize("name", ["sigma", "velocity", "history", "volume"])
@@ -119,7 +119,7 @@ def test_what_is_not_finite_is_never_yielded(engine):
         run = prepared(engine=engine)
         run.advance()
         array = getattr(run, name).copy()
-        array[..., 21] = np.nan
+        array[..., MIDDLE] = np.nan
         setattr(run, name, array)
         with pytest.raises(UnstableError, match=f"^step 1: .*{name} that is no longer finite: nan"):
             run.snapshot()
@@ -139,15 +139,15 @@ def test_a_tangent_that_is_not_finite_is_refused(wrong):
             quiet(explicit_steps(mesh, body, Loose(100.0, 0.3), steps=1, dt=dt))
 
 
-@pytest.mark.parametrize("plane", [np.nan, np.inf])
-def test_planes_and_walls_without_a_place_are_refused(plane):
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_planes_and_walls_without_a_place_or_an_increment_are_refused(wrong):
     mesh, body = block()
     with pytest.raises(ValueError, match="^at: got"):
-        quiet(explicit_steps(mesh, body, ELASTIC, [FixedPlane(1, plane, -1)], steps=1))
+        quiet(explicit_steps(mesh, body, ELASTIC, [FixedPlane(1, wrong, -1)], steps=1))
     with pytest.raises(ValueError, match="^wall: got"):
-        Wall(np.array([[plane], [0.5]]), (0.1, None))
+        Wall(np.array([[wrong], [0.5]]), (0.1, None))
     with pytest.raises(ValueError, match="^increment: got"):
-        Wall(np.array([[0.5], [0.5]]), (plane, None))
+        Wall(np.array([[0.5], [0.5]]), (wrong, None))
 
 
 @both_engines
@@ -200,15 +200,25 @@ def test_vibrations_that_grow_are_stopped_in_flight_as_at_rest(speed, refresh):
         assert state.energy["kinetic"] + state.energy["elastic"] < 1.01 * state.energy["start"]
 
 
-def test_energy_that_grows_warns_once_before():
+def test_energy_that_grows_is_told_once_before_it_stops_a_run():
     mesh, body = trembling(0.1)
-    with pytest.warns(UserWarning) as record:
-        given = {"method": "cmpm", "safety": 0.8, "engine": "numpy", "guards": {"energy": "warn"}}
-        list(explicit_steps(mesh, body, BAR, steps=200, every=200, **given))
-    assert sum("more than 2 times the" in str(each.message) for each in record) == 1
-    with pytest.warns(UserWarning) as record:
-        list(explicit_steps(mesh, body, BAR, steps=200, every=200, **given | {"guards": {"energy": "off"}}))
-    assert not any("times the" in str(each.message) for each in record)
+    given = {"method": "cmpm", "safety": 0.8, "engine": "numpy", "every": 200}
+
+    def told(steps, **more):
+        with warnings.catch_warnings(record=True) as record:
+            warnings.simplefilter("always")
+            try:
+                list(explicit_steps(mesh, body, BAR, steps=steps, **given, **more))
+                stop = None
+            except UnstableError as error:
+                stop = int(re.match(r"step (\d+): .*more than 10 times", str(error))[1])
+        texts = [str(each.message) for each in record]
+        return [int(re.match(r"step (\d+)", text)[1]) for text in texts if "more than 2 times the" in text], stop
+
+    (warned,), stop = told(1000)
+    assert warned < stop
+    assert told(stop, guards={"energy": "warn"}) == ([warned], None)
+    assert told(stop, guards={"energy": "off"}) == ([], None)
 
 
 @both_engines
@@ -220,8 +230,9 @@ def test_bodies_that_fall_land_and_swing_are_left_alone(engine):
     falling = replace(body, x=body.x + np.array([[0.0], [10.0]]))
     states = strict(explicit_steps(high, falling, ELASTIC, steps=300, every=100, gravity=DOWN, engine=engine))
     assert states[-1].energy["peak"] < 1e-12 * states[-1].energy["external"]
-    swung = strict(explicit_steps(mesh, body, ELASTIC, FLOOR, steps=300, every=3, gravity=DOWN, engine=engine))[-1]
-    assert 0 < swung.energy["peak"] <= swung.energy["external"] + swung.energy["peak"]
+    swung = strict(explicit_steps(mesh, body, ELASTIC, FLOOR, steps=300, every=2, gravity=DOWN, engine=engine))
+    work = [state.energy["external"] for state in swung]
+    assert min(work[50:]) < 0.5 * max(work) and 0 < swung[-1].energy["peak"] <= max(work) * (1 + 1e-12)
     near = replace(body, x=body.x + np.array([[0.0], [0.25]]), velocity=np.array([[0.0], [-2.0]]) * np.ones(body.n))
     mesh = MeshQuad.init_tensor(np.arange(-6, 11) * 0.25, np.arange(-1, 13) * 0.25)
     landed = strict(explicit_steps(mesh, near, ELASTIC, [FixedPlane(1, 0.0, -1)], steps=60, every=1, engine=engine))
@@ -247,8 +258,8 @@ def test_the_kernels_of_the_guards_see_what_the_law_says(law):
     np.testing.assert_allclose(run._balance(), twin._balance(), rtol=1e-9)
     assert run._excess_of_yield() is None
     if law is SOIL:
-        run.sigma = run.sigma + np.where(run.order == 21, 10.0, 0.0) * np.array([[0.0], [0.0], [0.0], [1.0]])
-        with pytest.raises(UnstableError, match=r"^step 30: point 21 at \(.* beyond yield by"):
+        run.sigma = run.sigma + np.where(run.order == MIDDLE, 10.0, 0.0) * np.array([[0.0], [0.0], [0.0], [1.0]])
+        with pytest.raises(UnstableError, match=rf"^step 30: point {MIDDLE} at \(.* beyond yield by"):
             run.snapshot()
 
 
@@ -384,7 +395,7 @@ class Failing(LinearElastic):
             return after, history
         if isinstance(self.wrong, type):
             raise self.wrong
-        after[0, 21] = self.wrong
+        after[0, MIDDLE] = self.wrong
         return after, history
 
 
@@ -398,7 +409,7 @@ def test_a_law_that_answers_no_number_is_named_in_a_load_step(wrong, choices):
     mesh, body = block()
     for bad in range(1, 6):
         states = []
-        said = r"^step \d: .*point 21 at \(.* has a sigma that is not finite"
+        said = rf"^step \d: .*point {MIDDLE} at \(.* has a sigma that is not finite"
         with pytest.raises(NotConvergedError, match=said) as caught:
             for state in implicit_steps(mesh, body, failing(bad, wrong), FLOOR, steps=9, gravity=DOWN, **choices):
                 states.append(state)
@@ -408,17 +419,17 @@ def test_a_law_that_answers_no_number_is_named_in_a_load_step(wrong, choices):
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_a_number_that_is_wrong_only_once_is_no_equilibrium(wrong):
-    """A force without bound at the start of a step makes every residual small beside it."""
+    """A force without bound at the start of a step makes every residual small beside it; the step comes in halves."""
     class Once(Failing):
         def update(self, strain, stress, history, components):
             type(self).bad = 1 if type(self).calls == 0 else 10 ** 9
             return super().update(strain, stress, history, components)
 
     Once.wrong, (mesh, body) = wrong, block()
-    states = list(implicit_steps(mesh, body, Once(100.0, 0.3), FLOOR, steps=1, gravity=DOWN))
-    good = list(implicit_steps(mesh, body, ELASTIC, FLOOR, steps=1, gravity=DOWN))
-    assert states[-1].residuals[-1] < 1e-11 and states[-1].cuts
-    np.testing.assert_allclose(states[-1].particles.sigma, good[-1].particles.sigma, atol=0.03)
+    (state,) = implicit_steps(mesh, body, Once(100.0, 0.3), FLOOR, steps=1, gravity=DOWN)
+    *_, good = implicit_steps(mesh, body, ELASTIC, FLOOR, steps=2, gravity=lambda step: (0.0, -step / 2))
+    assert state.residuals[-1] < 1e-11 and state.cuts == 1
+    assert_array_equal(state.particles.sigma, good.particles.sigma)
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])

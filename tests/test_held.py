@@ -1,4 +1,4 @@
-"""A run knows the parts of a body, whether anything holds them, and when one comes apart; or it stops and says so."""
+"""Load steps stop or say so: where nothing holds a part of a body, where one comes apart, and where cells fold."""
 
 import warnings
 from dataclasses import replace
@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, MOTION, every_method
+from skfem import MeshLine, MeshQuad
 
 from skfem_mpm import (
     METHODS,
@@ -17,7 +18,6 @@ from skfem_mpm import (
     axisymmetric,
     implicit_steps,
     plane_strain,
-    solid,
     uniaxial,
 )
 from skfem_mpm.boundary import FixedPlane, Wall
@@ -25,10 +25,7 @@ from skfem_mpm.implicit import Control
 from skfem_mpm.implicit.held import Parts
 from skfem_mpm.support import Support
 
-LAW = LinearElastic(E=100.0, nu=0.3)
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
-MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
-every_method = pytest.mark.parametrize("method", METHODS)
+LAW, BAR = LinearElastic(E=100.0, nu=0.3), LinearElastic(E=100.0, nu=0.0)
 
 
 def scene(dim, cells=2, gap=None, kinematics=None):
@@ -74,7 +71,7 @@ def test_a_block_on_a_slippery_floor_is_refused(method, shift, floor):
     (3, [FixedPlane(0, 0.0, -1), FixedPlane(1, 0.0, -1)], "along axis 2"),
     (3, [FixedPlane(2, 0.0, -1), nail(1.0, 1.0, 0.0)], "against rotation in the plane of axes 0 and 1"),
     (3, [nail(1.0, 1.0, 1.0)], "against rotation"),
-    (3, [nail(0.0, 0.0, 0.0), nail(0.0, 0.0, 2.0)], "against rotation in the plane of axes 0 and 1")], ids=str)
+    (3, [nail(0.0, 0.0, 0.0), nail(0.0, 0.0, 2.0)], "against rotation in the plane of axes 0 and 1")])
 def test_the_way_that_is_free_is_named(dim, boundary, way):
     mesh, body = scene(dim)
     with pytest.raises(NotConvergedError, match=f"nothing holds {way}"):
@@ -85,7 +82,7 @@ def test_the_way_that_is_free_is_named(dim, boundary, way):
     (1, [FixedPlane(0, 0.0, -1)]), (2, [FixedPlane(0, 0.0, -1), FixedPlane(1, 0.0, -1)]),
     (2, [FixedPlane(0, 0.0, -1, (0, 1))]), (2, [nail(0.1, 0.1), nail(1.9, 0.1)]),
     (2, [FixedPlane(1, 0.0, -1), nail(1.0, 1.0)]), (3, [FixedPlane(k, 0.0, -1) for k in range(3)]),
-    (3, [nail(0.0, 0.0, 0.0), nail(0.0, 0.0, 2.0), nail(0.0, 2.0, 0.0)])], ids=str)
+    (3, [nail(0.0, 0.0, 0.0), nail(0.0, 0.0, 2.0), nail(0.0, 2.0, 0.0)])])
 def test_what_is_held_is_let_through(dim, boundary):
     mesh, body = scene(dim)
     state = run(mesh, body, boundary, [-1e-3] * dim)
@@ -153,10 +150,16 @@ def test_parts_are_linked_by_nodes_that_both_read(gap, linear, wide):
 # Coming apart.
 
 def pulled(method, steps, **choices):
+    """Steps of a bar of four cells that is drawn by half a cell in each."""
     mesh = MeshLine(np.arange(-8.0, 24.0))
     body = Particles.fill(MeshLine(np.arange(5.0)), uniaxial, density=1.0)
     ends = [FixedPlane(0, 0.0, -1, name="base"), Wall(np.array([[4.0]]), (0.5,), name="pull")]
-    return implicit_steps(mesh, body, LinearElastic(E=100.0, nu=0.0), ends, steps=steps, method=method, **choices)
+    return implicit_steps(mesh, body, BAR, ends, steps=steps, method=method, **choices)
+
+
+def drawn_stress(step):
+    """What the bar carries while it holds together."""
+    return BAR.E * np.log(1 + step / 8)
 
 
 @every_method
@@ -166,7 +169,7 @@ def test_a_bar_that_comes_apart_says_so_or_stops(method):
         warnings.simplefilter("always")
         try:
             for state in pulled(method, 24):
-                lost = abs(state.reactions["pull"][0]) < 1e-3 * 100.0 * np.log(1 + state.step / 8)
+                lost = abs(state.reactions["pull"][0]) < 1e-3 * drawn_stress(state.step)
                 assert not lost or any("comes apart" in str(each.message) for each in heard)
             assert lost
         except NotConvergedError as stop:
@@ -183,6 +186,19 @@ def test_points_that_get_too_few_are_told_before_the_bar_breaks(method):
         list(pulled(method, 5))
     texts = [str(each.message) for each in heard]
     assert len(texts) == 1 and "getting too few" in texts[0]
+
+
+def test_a_bar_that_comes_apart_is_told_once():
+    """By then some of it carries nothing; up to a stretch of 1.375 it does, and nothing is said."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        *_, whole = pulled("mpm", 3)
+    assert whole.particles.sigma.mean() > 0.5 * drawn_stress(3)
+    with pytest.warns(UserWarning, match="step .*comes apart: points 0 at .* have no cell left that links") as said:
+        *_, apart = pulled("mpm", 10)
+    texts = [str(each.message) for each in said]
+    assert [word in text for text, word in zip(texts, ("getting too few", "comes apart"), strict=True)] == [True, True]
+    assert abs(apart.particles.sigma).min() < 0.01 * drawn_stress(10)
 
 
 def test_a_body_in_one_piece_is_not_said_to_come_apart():

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import ElementQuad1, ElementVector, MeshHex, MeshLine, MeshQuad, MeshTri
+from shared import MAKE, MOTION, every_method
+from skfem import ElementQuad1, ElementVector, MeshLine, MeshQuad, MeshTri
 from skfem.utils import solver_direct_scipy, solver_iter_pcg
 
 from skfem_mpm import (
@@ -23,7 +24,6 @@ from skfem_mpm import (
     axisymmetric,
     implicit_steps,
     plane_strain,
-    solid,
     uniaxial,
 )
 from skfem_mpm.boundary import FixedPlane, Wall
@@ -35,8 +35,6 @@ from skfem_mpm.scenes.cylinder_reference import deviatoric
 from skfem_mpm.weights import WEIGHTS
 
 LAW = LinearElastic(E=100.0, nu=0.3)
-MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
-every_method = pytest.mark.parametrize("method", METHODS)
 every_scheme = pytest.mark.parametrize("scheme", SCHEMES)
 every_strain = pytest.mark.parametrize("strain", STRAINS)
 
@@ -44,7 +42,7 @@ every_strain = pytest.mark.parametrize("strain", STRAINS)
 def boxed(dim, cells=4, kinematics=None, low=0.0, rule="quarter"):
     """A box of material from ``low`` to ``low + 1`` along every axis, with a spare cell around."""
     axes = [(low if k == 0 else 0.0) + np.arange(-1, cells + 2) / cells for k in range(dim)]
-    mesh = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[dim](*axes)
+    mesh = MAKE[dim](*axes)
     inside = np.array([[low], [0.0], [0.0]])[:dim]
     body = Particles.fill(mesh, kinematics or MOTION[dim], rule=rule,
                           where=lambda x: ((x > inside) & (x < inside + 1)).all(axis=0))

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import every_method
 from skfem import MeshLine, MeshQuad
 
 from skfem_mpm import (
-    METHODS,
     Control,
     Hencky,
     LinearElastic,
@@ -23,7 +23,6 @@ from skfem_mpm import (
 from skfem_mpm.boundary import FixedPlane, Wall
 
 LAW = LinearElastic(E=100.0, nu=0.3)
-every_method = pytest.mark.parametrize("method", METHODS)
 
 
 def last(run):

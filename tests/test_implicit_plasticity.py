@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import brentq
+from shared import every_method
 from skfem import MeshLine, MeshQuad
 
 from skfem_mpm import (
@@ -27,7 +28,6 @@ SOIL = VonMises(E=400e3, nu=0.35, peak=6e3, residual=1e3, softening=-25e3)
 CLAY = VonMises(E=1e8, nu=0.49, peak=1e3, residual=1e3)
 BALANCED = [name for name in METHODS if name != "cmpm-c"]       # quarter points integrate their forces exactly
 every_strain = pytest.mark.parametrize("strain", ["small", "logarithmic"])
-every_method = pytest.mark.parametrize("method", METHODS)
 
 
 def last(run):

@@ -5,15 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import ELEMENT, FLUTTERING, MAKE, every_method, every_motion, symmetric_methods
 from skfem import (
     BilinearForm,
-    ElementHex1,
-    ElementLineP1,
-    ElementQuad1,
     ElementVector,
     LinearForm,
-    MeshHex,
-    MeshLine,
     MeshQuad,
 )
 from skfem.helpers import ddot, grad
@@ -26,18 +22,12 @@ from skfem_mpm.integration import INTEGRATIONS, find_integration, on_points
 from skfem_mpm.kinematics import Logarithmic
 from skfem_mpm.support import Support
 
-ELEMENTS = {1: ElementLineP1, 2: ElementQuad1, 3: ElementHex1}
 AXES = [np.array([1, 1.2, 1.5, 1.7, 2.1, 2.3, 2.6]), np.array([0, 0.25, 0.6, 0.8, 1.1, 1.4]),
         np.array([-0.2, 0.1, 0.4, 0.7, 0.9])]                     # graded
-MOTIONS = [(uniaxial, 1), (plane_strain, 2), (axisymmetric, 1), (axisymmetric, 2), (solid, 3)]
-CONJUGATE = [name for name, method in METHODS.items() if method.strain is method.force]
-every_motion = pytest.mark.parametrize("kinematics, dim", MOTIONS, ids=lambda value: getattr(value, "name", value))
-every_method = pytest.mark.parametrize("method", METHODS)
 
 
 def grid_mesh(dim):
-    make = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
-    return make[dim](*AXES[:dim])
+    return MAKE[dim](*AXES[:dim])
 
 
 class Scene:
@@ -46,7 +36,7 @@ class Scene:
     def __init__(self, kinematics, dim, method, n=60, seed=0):
         random = np.random.default_rng(seed)
         self.random, self.kinematics, self.dim = random, kinematics, dim
-        self.mesh, self.elem = grid_mesh(dim), ElementVector(ELEMENTS[dim]())
+        self.mesh, self.elem = grid_mesh(dim), ElementVector(ELEMENT[dim]())
         low, high = (np.array([[axis[k] for axis in AXES[:dim]]]).T for k in (1, -2))
         x = low + (high - low) * random.uniform(size=(dim, n))
         self.particles = Particles(x, random.uniform(0.5, 1, n), random.uniform(0.5, 1, n), kinematics,
@@ -197,7 +187,7 @@ def work(scene):
 
 
 @every_motion
-@pytest.mark.parametrize("method", CONJUGATE)
+@symmetric_methods
 def test_conjugate_pairs_do_the_same_work_at_nodes_and_points(kinematics, dim, method):
     scene = Scene(kinematics, dim, method)
     at_nodes, at_points = work(scene)
@@ -205,7 +195,7 @@ def test_conjugate_pairs_do_the_same_work_at_nodes_and_points(kinematics, dim, m
 
 
 @every_motion
-@pytest.mark.parametrize("method", CONJUGATE)
+@symmetric_methods
 def test_conjugate_pairs_and_a_stored_energy_make_symmetric_stiffness(kinematics, dim, method):
     scene = Scene(kinematics, dim, method)
     law, zero = Hencky(E=2.0, nu=0.3), np.zeros((kinematics.ncomp, scene.particles.n))
@@ -216,7 +206,7 @@ def test_conjugate_pairs_and_a_stored_energy_make_symmetric_stiffness(kinematics
     assert_allclose(stiffness, stiffness.T, atol=1e-13 * np.abs(stiffness).max())
 
 
-@pytest.mark.parametrize("method", [name for name in METHODS if name not in CONJUGATE])
+@pytest.mark.parametrize("method", FLUTTERING)
 def test_cmpm_recovers_a_strain_that_is_not_conjugate_to_its_force(method):
     """A known property of the paper's CMPM, and of all methods with two bases for strain and force."""
     at_nodes, at_points = work(Scene(plane_strain, 2, method))
@@ -232,7 +222,7 @@ def test_all_ways_to_integrate_have_a_name():
 def block(dim=2, cells=10, kinematics=plane_strain, where=None, **changes):
     """A body inside a mesh of the unit box, two empty cells wide at least on every side."""
     axis = np.linspace(0, 1, cells + 1)
-    mesh = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[dim](*[axis] * dim)
+    mesh = MAKE[dim](*[axis] * dim)
     inside = where or (lambda x: (np.abs(x - 0.5) < 0.3).all(axis=0))
     return mesh, replace(Particles.fill(mesh, kinematics, where=inside), **changes)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE
 
 from skfem_mpm.grid import Grid, available_sides
 
@@ -22,7 +22,7 @@ GRADED = np.concatenate([EQUAL[:5], 0.0 + np.cumsum([0.2, 0.25, 0.3, 0.25, 0.2])
 
 def grid_of(dim, graded):
     axes = [GRADED if graded and k == 0 else EQUAL for k in range(dim)]
-    return Grid.from_mesh({1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}[dim](*axes))
+    return Grid.from_mesh(MAKE[dim](*axes))
 
 
 class Points:

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
+from shared import MOTIONS, every_motion
 from skfem import ElementLineP1, ElementVector, LinearForm, MeshLine
 from skfem.helpers import ddot
 
@@ -23,11 +24,9 @@ from skfem_mpm import (
 )
 from skfem_mpm.kinematics import RATES, STRAINS, Logarithmic, Objective, Small
 
-MOTIONS = [(uniaxial, 1), (plane_strain, 2), (axisymmetric, 1), (axisymmetric, 2), (solid, 3)]
 LAWS = [LinearElastic(E=3.0, nu=0.3), Hencky(E=3.0, nu=0.3), LinearElastic(E=3.0, nu=0.49), Hencky(E=3.0, nu=-0.5)]
 PAIRS = [(Small, law) for law in LAWS if not law.kirchhoff] + [(Logarithmic, law) for law in LAWS]
 SOIL = VonMises(E=400e3, nu=0.35, peak=6e3, residual=1e3, softening=-25e3)
-every_motion = pytest.mark.parametrize("kinematics, dim", MOTIONS, ids=lambda value: getattr(value, "name", value))
 every_law = pytest.mark.parametrize("law", LAWS, ids=str)
 every_pair = pytest.mark.parametrize("strain, law", PAIRS, ids=lambda value: getattr(value, "name", str(value)))
 in_a_plane_or_space = pytest.mark.parametrize("kinematics, dim", [pair for pair in MOTIONS if pair[1] > 1],

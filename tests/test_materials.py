@@ -5,14 +5,13 @@ from dataclasses import FrozenInstanceError
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import every_motion
 
-from skfem_mpm import Hencky, LinearElastic, VonMises, axisymmetric, plane_strain, solid, uniaxial
+from skfem_mpm import Hencky, LinearElastic, VonMises, plane_strain, solid, uniaxial
 from skfem_mpm.kinematics import Logarithmic
 from skfem_mpm.materials import numerical_tangent
 
-MOTIONS = [(uniaxial, 1), (plane_strain, 2), (axisymmetric, 1), (axisymmetric, 2), (solid, 3)]
 NOTHING = np.zeros((0, 1))                               # the history of a law that has none
-every_motion = pytest.mark.parametrize("kinematics, dim", MOTIONS, ids=lambda value: getattr(value, "name", value))
 every_law = pytest.mark.parametrize("Law", [LinearElastic, Hencky])
 STRETCHES = [0.1, 0.5, 1.0, 1.5, 10.0]
 

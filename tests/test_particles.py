@@ -181,12 +181,16 @@ def test_far_from_the_origin_the_volumes_stay_exact():
     assert_allclose(Particles.fill(mesh, plane_strain).volume, 0.25, rtol=1e-15)
 
 
+@pytest.mark.parametrize("power", [30, 7, -30])
+@pytest.mark.parametrize("per_cell", [2, 3])
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("mesh, kinematics", BODIES, ids=names(BODIES))
-def test_units_of_powers_of_two_change_no_bit(mesh, kinematics, rule):
-    one, other = (Particles.fill(body, kinematics, rule=rule) for body in (mesh, mesh.scaled(2.0 ** 7)))
+def test_units_of_powers_of_two_change_no_bit(mesh, kinematics, rule, per_cell, power):
+    one, other = (Particles.fill(body, kinematics, rule=rule, per_cell=per_cell)
+                  for body in (mesh, mesh.scaled(2.0 ** power)))
     space = one.dim + kinematics.hoop
-    assert (one.x * 2.0 ** 7 == other.x).all() and (one.volume * 2.0 ** (7 * space) == other.volume).all()
+    assert_array_equal(other.x, one.x * 2.0 ** power)
+    assert_array_equal(other.volume, one.volume * 2.0 ** (power * space))
 
 
 def test_filling_twice_gives_the_same_bits():

@@ -5,26 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from skfem import MeshHex, MeshLine, MeshQuad
+from shared import MAKE, MOTION
+from skfem import MeshQuad
 
-from skfem_mpm import METHODS, LinearElastic, Particles, explicit_steps, implicit_steps, plane_strain, solid, uniaxial
+from skfem_mpm import METHODS, LinearElastic, Particles, explicit_steps, implicit_steps, plane_strain
 from skfem_mpm.boundary import FixedPlane, Wall
 from skfem_mpm.kinematics.blocks import determinant
 
-MAKE = {1: MeshLine, 2: MeshQuad.init_tensor, 3: MeshHex.init_tensor}
-MOTION = {1: uniaxial, 2: plane_strain, 3: solid}
 NAMES = list(METHODS)
 LENGTHS, TIMES, MASSES = [(2.0 ** 30, 1.0, 1.0), (1.0, 2.0 ** -30, 1.0), (1.0, 1.0, 2.0 ** 30)]
-
-
-@pytest.mark.parametrize("dim", [1, 2, 3])
-@pytest.mark.parametrize("factor", [2.0 ** 30, 2.0 ** -30])
-def test_points_of_a_mesh_scale_with_it_bit_by_bit(dim, factor):
-    lines = np.array([0.0, 0.3, 0.7, 1.9])
-    body, large = (Particles.fill(MAKE[dim](*[scale * lines] * dim), MOTION[dim], per_cell=3)
-                   for scale in (1.0, factor))
-    assert_array_equal(large.volume, body.volume * factor ** dim)
-    assert_array_equal(large.x, body.x * factor)
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import beta
+from shared import both_engines
 
 from skfem_mpm import VonMises
 from skfem_mpm.scenes import vertical_cut
@@ -58,7 +59,7 @@ def test_it_is_correlated_further_along_than_up(samples):
             assert found == pytest.approx(np.exp(-2 * 0.25 * lag / length), abs=0.03)
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@both_engines
 @pytest.mark.parametrize("cohesion, density", [(6e3, 2e3), (12e3, 4e3)], ids=["below", "above"])
 def test_a_start_on_the_softening_line_is_a_peak_of_its_own(engine, cohesion, density):
     """The same motion as with that peak, and the same energy: to rounding."""

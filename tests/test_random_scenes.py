@@ -78,6 +78,21 @@ def test_an_implicit_run_ends_well_or_says_why(scene):
     check_implicit(scene, "numpy")
 
 
+@pytest.mark.parametrize("scenes, steps_of", [(explicit_scenes(), explicit_steps), (implicit_scenes(), implicit_steps)],
+                         ids=["explicit", "implicit"])
+def test_most_scenes_come_to_a_state(scenes, steps_of):
+    """What is said here of every state would hold of none if every scene were refused."""
+    counts = []
+
+    @settings(max_examples=25)
+    @given(scenes)
+    def draw(scene):
+        counts.append(len(states_of(lambda: scene.run(steps_of, 1, engine="numpy"))))
+
+    draw()
+    assert np.mean(counts) > 0.5
+
+
 # -- what a free body keeps ----------------------------------------------------------------------------------------
 
 def check_momentum(scene, **choices):

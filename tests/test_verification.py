@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+from shared import SYMMETRIC
 from test_examples import KINDS, ROOT, results, table
 
 from skfem_mpm import METHODS
-
-SYMMETRIC = [name for name, method in METHODS.items() if method.strain is method.force]
 
 
 def rows_of(name, kind, file=None):

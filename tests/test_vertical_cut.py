@@ -7,11 +7,11 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import SYMMETRIC, symmetric_methods
 
 from skfem_mpm import METHODS, Hencky, LinearElastic, VonMises, implicit_steps, plane_strain, solid
 from skfem_mpm.scenes import vertical_cut
 
-SYMMETRIC = [name for name, method in METHODS.items() if method.strain is method.force]
 LOADINGS = ("sudden", "ramped")
 
 
@@ -217,7 +217,7 @@ def test_a_cut_of_elastic_soil_stands():
 
 
 @pytest.mark.parametrize("loading", LOADINGS)
-@pytest.mark.parametrize("method", SYMMETRIC)
+@symmetric_methods
 def test_the_cut_fails_and_its_energies_balance(method, loading):
     """Within 2 % sudden, 1 % ramped, at 10 cm, on the grid of the example."""
     scene, states = failed(method, loading)
@@ -235,7 +235,7 @@ def test_the_cut_fails_and_its_energies_balance(method, loading):
     assert state.particles.x[1].min() > 0 and state.particles.x[0].min() > 0
 
 
-@pytest.mark.parametrize("method", SYMMETRIC)
+@symmetric_methods
 def test_the_balance_gets_better_with_the_time_step(method):
     """On a coarse grid, where steps are long; a part of it stays, see below."""
     scene = vertical_cut(0.1)
@@ -244,7 +244,7 @@ def test_the_balance_gets_better_with_the_time_step(method):
     assert gaps[2] < 0.01
 
 
-@pytest.mark.parametrize("method", SYMMETRIC)
+@symmetric_methods
 def test_what_stays_of_the_balance_is_the_volume_change_of_stressed_points(method):
     """The rate law has no energy; without what V sigma : eps / 2 gains from V alone, first order in the step."""
     gaps = []
@@ -263,7 +263,7 @@ def test_what_stays_of_the_balance_is_the_volume_change_of_stressed_points(metho
     assert gaps[2] < 2e-3
 
 
-@pytest.mark.parametrize("method", SYMMETRIC)
+@symmetric_methods
 def test_with_a_law_that_stores_energy_it_falls_to_zero(method):
     """Hencky's: V_0 tau : eps / 2, here after 0.1 s of elastic settling."""
     gaps = []

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from shared import ELEMENT
 from skfem import (
     CellBasis,
-    ElementHex1,
-    ElementLineP1,
     ElementQuad1,
     ElementTriP1,
     Functional,
@@ -32,8 +31,6 @@ from skfem_mpm import (
 )
 from skfem_mpm.grid import Grid
 from skfem_mpm.weights import WEIGHTS, weights
-
-ELEM = {1: ElementLineP1, 2: ElementQuad1, 3: ElementHex1}
 
 
 def axis(count, grading=1.0, low=0.0, high=1.0):
@@ -73,7 +70,7 @@ def volumes(mesh, kinematics):
 
 
 def hosts(mesh, points):
-    return ParticleBasis(mesh, ELEM[mesh.dim()](), points).tind
+    return ParticleBasis(mesh, ELEMENT[mesh.dim()](), points).tind
 
 
 def interior_cells(mesh, points):
@@ -186,7 +183,7 @@ def test_overlap_moves_all_the_way_across_without_a_jump():
 @pytest.mark.parametrize("cls", [ParticleBasis, GIMPBasis, CMPMBasis])
 def test_with_weights_changes_the_measure_and_nothing_else(case, cls, name):
     mesh, points = case
-    basis = cls(mesh, ELEM[mesh.dim()](), points)
+    basis = cls(mesh, ELEMENT[mesh.dim()](), points)
     other = basis.with_weights(name)
     assert type(other) is cls and other is not basis
     assert_array_equal(other.dx[:, 0], call(name, *case) * points.volume)
@@ -201,7 +198,7 @@ def test_with_weights_changes_the_measure_and_nothing_else(case, cls, name):
 @pytest.mark.parametrize("name", WEIGHTS)
 def test_mass_from_the_basis_without_weights_is_the_points_mass(case, name):
     mesh, points = case
-    basis = ParticleBasis(mesh, ELEM[mesh.dim()](), points)
+    basis = ParticleBasis(mesh, ELEMENT[mesh.dim()](), points)
     before = mass.assemble(basis).toarray()
     weighted = basis.with_weights(name)
     laplace.assemble(weighted)
@@ -214,7 +211,7 @@ def test_mass_from_the_basis_without_weights_is_the_points_mass(case, name):
 
 def test_the_last_weights_asked_for_are_the_ones_used(case):
     mesh, points = case
-    basis = ParticleBasis(mesh, ELEM[mesh.dim()](), points)
+    basis = ParticleBasis(mesh, ELEMENT[mesh.dim()](), points)
     assert_array_equal(basis.with_weights("eq10").with_weights("one").dx, basis.dx)
     assert_array_equal(basis.with_weights("interior").with_weights("eq10").dx, basis.with_weights("eq10").dx)
 
@@ -236,7 +233,7 @@ def test_stiffness_on_eq10_is_that_of_full_cells():
 def test_an_unknown_name_is_refused_and_the_names_are_listed(case):
     mesh, points = case
     for attempt in (lambda: call("eq11", mesh, points),
-                    lambda: ParticleBasis(mesh, ELEM[mesh.dim()](), points).with_weights("eq11")):
+                    lambda: ParticleBasis(mesh, ELEMENT[mesh.dim()](), points).with_weights("eq11")):
         with pytest.raises(ValueError, match="weights: got 'eq11', .* 'one', 'eq10', 'interior', 'overlap'"):
             attempt()
 
