@@ -33,7 +33,9 @@ def caution(mesh: Mesh, particles: Particles, material: Any, remedy: str, stackl
     """
     kinematics = particles.kinematics
     elastic = moduli_at_rest(material, particles.history, kinematics.ncomp, particles.n, kinematics.rows(particles.dim))
-    words = []
+    words: list[str] = []
+    if not np.isfinite(elastic).all():              # refused where it is needed
+        return
     if remedy == "none":
         words += _of_locking(elastic, kinematics, particles.dim)
     if elastic.shape[2] > 1:

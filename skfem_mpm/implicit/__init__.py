@@ -124,7 +124,8 @@ def implicit_steps(mesh: Mesh | Callable[[State], Mesh], start: Particles | Stat
         What to do where a limit is passed, by name: ``stop`` (if nothing is said), ``warn`` or ``off``.  They are
         ``converged`` (a step that does not converge after all cuts; with ``warn`` the best iterate is taken, which is
         not in equilibrium, and what it lacks is part of the next step) and ``yield`` (stress beyond the yield surface
-        of a law that offers ``excess``, by more than 1e-6 of its strength); only the latter can be ``off``.
+        of a law that offers ``excess``, by more than 1e-6 of its strength; it warns in every such step); only the
+        latter can be ``off``.
 
     Raises
     ------
