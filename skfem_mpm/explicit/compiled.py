@@ -299,7 +299,7 @@ class CompiledRun(Run):
 
     def _move_points(self, nodal: ndarray) -> None:
         """Points move with the grid's velocity and take on its change; stress too if one stencil serves both."""
-        mapping, frame, limits = self.tables.mapping, self.sums.window.frame, self.tables.limits
+        tables, mapping, frame, limits = self.tables, self.tables.mapping, self.sums.window.frame, self.tables.limits
         moving = (mapping.base, mapping.w, nodal, frame, self.mass, self.x, self.ahead, self.velocity, self.flip,
                   self.dt)
         if self.fused:
@@ -309,8 +309,8 @@ class CompiledRun(Run):
         if self.choices.integrator == "usavg":
             self._centre(nodal)
         if self.slope is not None:
-            self.crew(self.transfer.gradient, mapping.base, mapping.w, nodal, frame, self.x, 1.0, (), self.slope,
-                      mapping.kt)
+            self.crew(self.transfer.gradient, mapping.base, tables.fitted(self.x), nodal, frame, self.x, 1.0, (),
+                      self.slope, mapping.kt)
 
     def _centre(self, nodal: ndarray) -> None:
         """Take points back by half of what the change of velocity moved them: they move with the mean of the step."""

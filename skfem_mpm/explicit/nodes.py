@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -118,8 +120,8 @@ class Nodes:
     def levers(self) -> list[csr_array]:
         r"""For each axis :math:`N_I (x_I - x_p)`, ``(n, nnodes)``.
 
-        Positions are taken from the middle of the point's mass, :math:`\sum_I N_I x_I`, so that sums keep momentum: on
-        rings and where a domain is cut that is not the point.
+        Positions are taken from the middle of the point's mass, :math:`\sum_I N_I x_I / \sum_I N_I`, so that sums keep
+        momentum: on rings and where a domain is cut that is not the point.
         """
         value, dim, shape = self.mapping.value, self.grid.dim, self.grid.vertices.shape
         width, out = len(value.data) // len(self.x[0]), []
@@ -129,6 +131,30 @@ class Nodes:
             out.append(csr_array((value.data * lever, value.indices, value.indptr), shape=value.shape))
         return out
 
+    @cached_property
+    def fitted(self) -> Operators:
+        r"""Mapping whose slopes are those of the affine field that comes nearest to what a point sees.
+
+        :math:`\sum_I N_I (x_I - x_p)_l\, u_I / \sum_I N_I (x_I - x_p)_l^2`, least squares with the weights
+        :math:`N_I`.  What points hand back with :meth:`tilted` is then a projection: none is more than there was.  With
+        two nodes along an axis a line goes through both, and these are the slopes of the functions.
+        """
+        stencil = self.mapping.stencil
+        if stencil.w.shape[2] == 2:
+            return self.mapping
+        w, moments = stencil.w.copy(), self.moments()
+        for j, moment in enumerate(moments):
+            value = w[j, 0]
+            part = value * (self._seen(j) - self._middle(j))
+            part -= value * (part.sum(axis=0) / value.sum(axis=0))       # the middle is rounded: what is common stays
+            w[j, 1] = np.divide(part, moment, out=np.zeros_like(part), where=moment > 0)
+        return Operators(self.kinematics, replace(stencil, w=w), self.x[0])
+
+    def moments(self) -> ndarray:
+        r""":math:`\sum_I N_I (x_I - x_p)_l^2` along each axis, ``(dim, n)``."""
+        w = self.mapping.stencil.w
+        return np.stack([(w[j, 0] * (self._seen(j) - self._middle(j)) ** 2).sum(axis=0) for j in range(len(w))])
+
     def tilted(self, amounts: ndarray) -> ndarray:
         r"""Nodal sums :math:`\sum_p N_I a_p (x_I - x_p)` of point gradients ``(dim * dim, n)``."""
         levers, dim = self.levers(), self.grid.dim
@@ -136,9 +162,13 @@ class Nodes:
 
     def _middle(self, j: int) -> ndarray:
         """Coordinate of the middle of the points' masses along an axis, as their functions share them."""
+        value = self.mapping.stencil.w[j, 0]
+        return self.x[j] + (value * (self._seen(j) - self.x[j])).sum(axis=0) / value.sum(axis=0)
+
+    def _seen(self, j: int) -> ndarray:
+        """Coordinates along an axis of the nodes that points see, ``(K, n)``."""
         stencil, axis = self.mapping.stencil, self.grid.axes[j]
-        seen = axis[np.clip(stencil.base[j] + np.arange(stencil.w.shape[2])[:, None], 0, len(axis) - 1)]
-        return self.x[j] + (stencil.w[j, 0] * (seen - self.x[j])).sum(axis=0)
+        return axis[np.clip(stencil.base[j] + np.arange(stencil.w.shape[2])[:, None], 0, len(axis) - 1)]
 
     # -- sums and velocities -----------------------------------------------------------------------------------------
 

@@ -201,7 +201,7 @@ class Run(Guarded):
             own = own - unseen
         self.velocity = choices.flip * own + mapping.to_points(after - choices.flip * before)
         if self.slope is not None:
-            self.slope = mapping.gradient(after)[:self.dim ** 2]
+            self.slope = nodes.fitted.gradient(after)[:self.dim ** 2]
         self._check_finite("velocity")
         return self.dt * moving
 

@@ -76,6 +76,7 @@ class Tables:
         self.work = np.zeros(dim)
         self.fill = {ParticleBasis: self._fill_linear, GIMPBasis: self._fill_gimp, CMPMBasis: self._fill_cmpm}
         self.window: Any = None
+        self.slopes: Any = None
 
     def measure(self, x: ndarray, velocity: ndarray) -> None:
         """Find out where points are, after their arrays have changed."""
@@ -129,6 +130,16 @@ class Tables:
         """The other stencils, which reach into available ``sides`` only."""
         for basis in self.others:
             self.fill[basis](x, self.by_basis[basis], sides)
+
+    def fitted(self, x: ndarray) -> ndarray:
+        """Factors of the mapping with the slopes of :attr:`skfem_mpm.explicit.nodes.Nodes.fitted`."""
+        mapping = self.mapping
+        if len(mapping.kt) == 2:
+            return mapping.w
+        if self.slopes is None:
+            self.slopes = np.empty_like(mapping.w)
+        self.crew(domains.fit_slopes, mapping.base, mapping.w, self.knots, x, self.slopes, mapping.kt)
+        return self.slopes
 
     def _fill_linear(self, x: ndarray, table: Table, sides: ndarray) -> None:
         self.crew(stencils.fill_linear, x, self.knots, self.inverse, self.cell, table.w)

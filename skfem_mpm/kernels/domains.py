@@ -83,7 +83,36 @@ def plain(w):
 @njit(**INLINE)
 def centre(base, w, knots, x, kt, p, k):
     """Coordinate of the middle of a point's mass along axis ``k``: not its own on rings, nor where a domain is cut."""
-    shift = 0.0
+    whole = shift = 0.0
     for a in range(len(kt)):
         shift += w[p, k, 0, a] * (knots[k, base[p, k] + a + 1] - x[k, p])
+    if len(kt) > 2:                                                   # linear functions sum to one
+        for a in range(len(kt)):
+            whole += w[p, k, 0, a]
+        shift /= whole
     return x[k, p] + shift
+
+
+@njit(**OPTIONS)
+def fit_slopes(base, w, knots, x, out, kt, c0, c1):
+    """Copy ``w`` with the slopes of the affine field that comes nearest to what a point sees.
+
+    Twin of :attr:`skfem_mpm.explicit.nodes.Nodes.fitted`.
+    """
+    n, dim = x.shape[1], len(x)
+    for p in range(cut(n, c0), cut(n, c1)):
+        for k in range(dim):
+            middle, whole, moment, total = centre(base, w, knots, x, kt, p, k), 0.0, 0.0, 0.0
+            for a in range(len(kt)):
+                lever = knots[k, base[p, k] + a + 1] - middle
+                part = w[p, k, 0, a] * lever
+                whole += w[p, k, 0, a]
+                moment += part * lever
+                total += part
+                out[p, k, 1, a] = part
+            for a in range(len(kt)):
+                value = w[p, k, 0, a]
+                out[p, k, 0, a] = value
+                out[p, k, 1, a] = (out[p, k, 1, a] - value * total / whole) / moment if moment > 0 else 0.0
+                for row in range(2, w.shape[2]):
+                    out[p, k, row, a] = w[p, k, row, a]

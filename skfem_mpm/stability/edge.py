@@ -26,11 +26,11 @@ class StepLimit:
     Attributes
     ----------
     bound
-        A step that is stable for sure; with TPIC the one that runs take, which is not sure.
+        A step that is stable for sure; with TPIC and a share of FLIP, where waves may grow at any step, what runs take.
     exact
-        The largest stable step, infinite if no step is too long and zero if TPIC makes any too long; ``None`` if it was
-        not looked for.  Where waves flutter, which they do at any step, the one from which the step itself makes them
-        grow too.
+        The largest stable step, infinite if no step is too long and zero if TPIC with a share of FLIP makes any too
+        long; ``None`` if it was not looked for.  Where waves flutter, which they do at any step, the one from which the
+        step itself makes them grow too.
     flutters
         Whether waves grow at any step; ``None`` if it was not looked for.
     unknowns
@@ -77,7 +77,7 @@ class Growth:
     limit: float
 
     def __str__(self) -> str:
-        cure = "take 'cmpm-c' or 'gimp'" if self.flutter else "it is the transfer, take tpic=False"
+        cure = "take 'cmpm-c' or 'gimp'" if self.flutter else "it is the transfer, take flip=0 with tpic"
         said = {"none": "none", "flutter": f"{self.rate:.4g}, waves flutter at any step; {cure}",
                 "step": f"{self.rate:.4g}, the step is too long"}[self.cause]
         return f"growth with a step of {self.dt:.4g} (limit {self.limit:.4g}): {said}"

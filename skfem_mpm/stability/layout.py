@@ -4,7 +4,9 @@ A step needs three things of the points: the grid's velocity :math:`v = M^{-1} N
 nodal force :math:`f = L V \sigma`, and with TPIC the velocity that their slopes hand on.  What it does to these is
 linear where the body is at rest and free of stress, and needs no more of the points than
 
-.. math:: C = N^T m N, \qquad K = L\, V D\, G, \qquad H = \textstyle\sum_l ((x_I - x) N)_l^T m\, \partial_l N ,
+.. math:: C = N^T m N, \qquad K = L\, V D\, G, \qquad
+          H = \textstyle\sum_l (x_I - x)_l N^T \frac{m}{\kappa_l} N (x_I - x)_l , \quad
+          \kappa_l = \sum_I N_I (x_I - x)_l^2 ,
 
 each between the velocities of the active nodes; light and mirrored nodes follow as in the step.  All are scaled by
 :math:`M^{-1/2}` from both sides, with the lumped masses :math:`M`.
@@ -91,9 +93,20 @@ class Layout:
 
     @cached_property
     def half(self) -> csr_array:
-        r""":math:`m^{1/2} N M^{-1/2}`, a root of the inertia, ``(dim * n, unknowns)``."""
-        value = kron(self.nodes.mapping.value, eye_array(self.dim)) @ self._spread
-        return csr_array(diags_array(np.repeat(np.sqrt(self.mass), self.dim)) @ value)
+        r""":math:`m^{1/2} N M^{-1/2}`, a root of the inertia; with ``tpic`` and ``flip=0`` one of :math:`C + H`."""
+        value = self._weighted(self.mass, self.nodes.mapping.value)
+        return csr_array(vstack([value, self.tilt])) if self.choices.tpic and not self.choices.flip else value
+
+    @cached_property
+    def tilt(self) -> csr_array:
+        r"""A root of :math:`M^{-1/2} H M^{-1/2}`, ``(dim * dim * n, unknowns)``."""
+        moments, slopes = self.mass * self.nodes.moments(), self.nodes.fitted.slopes
+        return csr_array(vstack([self._weighted(*each) for each in zip(moments, slopes)]))
+
+    def _weighted(self, weights: ndarray, operator: csr_array) -> csr_array:
+        """An operator on each component, times the roots of weights of the points, from scaled unknowns."""
+        value = kron(operator, eye_array(self.dim)) @ self._spread
+        return csr_array(diags_array(np.repeat(np.sqrt(weights), self.dim)) @ value)
 
     @property
     def inertia(self) -> csr_array:
@@ -116,12 +129,10 @@ class Layout:
         """Whether the stiffness is symmetric: nothing then flutters."""
         return bool(abs(self.stiffness - self.stiffness.T).max() <= SYMMETRIC * abs(self.stiffness).max())
 
-    @cached_property
+    @property
     def slope(self) -> csr_array:
         r""":math:`M^{-1/2} H M^{-1/2}`: velocity that points' slopes hand on to the nodes they were taken from."""
-        weights = diags_array(self.mass)
-        one = sum(lever.T @ weights @ slope for lever, slope in zip(self.nodes.levers(), self.nodes.mapping.slopes))
-        return csr_array(self._spread.T @ kron(one, eye_array(self.dim)) @ self._spread)
+        return csr_array(self.tilt.T @ self.tilt)
 
 
 def spreading(nodes: Nodes) -> csr_array:

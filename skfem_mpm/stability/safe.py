@@ -20,13 +20,14 @@ FULL = 1_000_000    # entries up to which a matrix is multiplied: products have 
 
 
 def safe_step(layout: Layout) -> float:
-    r"""The best of some steps that are stable for sure; with TPIC that of a run, which is not.
+    r"""The best of some steps that are stable for sure; with TPIC and a share of FLIP that of a run, which is not.
 
     As :math:`c \le F`, the share :math:`c / (1 + F)` is at most 1/2, and at most :math:`c / (1 + \alpha)` without XPIC;
-    so :math:`K` alone gives one bound, and its product with :math:`C` another.
+    so :math:`K` alone gives one bound, and its product with :math:`C` another.  With TPIC and ``flip=0``,
+    :math:`C + H` is in the place of :math:`C`.
     """
     usual, choices = layout.usual_step, layout.choices
-    if choices.tpic:
+    if choices.tpic and choices.flip:
         return usual
     flip, last = choices.flip == 1 and not choices.xpic, choices.integrator == "usl"
     steps = [np.sqrt((2 if last else 4) / _norm(layout.stiffness, layout.dim))]

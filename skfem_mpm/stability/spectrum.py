@@ -7,8 +7,12 @@ With :math:`V` the grid's velocity of what points carry, :math:`g = \Delta t\, M
           F = \alpha \big(1 - (1 - C)^m\big) + (1 - \alpha)\, C ,
 
 where :math:`\alpha` is ``flip``, :math:`m` the order of XPIC, and :math:`F = \alpha + (1 - \alpha) C` without it.
-``usf`` and ``usavg`` do the same from another start, and ``usl`` has :math:`g' = g + \Delta t^2 K (V - g)`.  With TPIC
-there is :math:`W' = H (V + W - g)` too, and strain sees :math:`V' + W'`.
+``usf`` and ``usavg`` do the same from another start, and ``usl`` has :math:`g' = g + \Delta t^2 K (V - g)`.
+
+With TPIC there is :math:`W' = H (V + W - g)` too, and strain sees :math:`V' + W'`.  Without FLIP their sum is all that
+counts, and :math:`C + H`, a projection at each point, takes the place of :math:`C`: what follows holds for it, with
+:math:`X \le 1/2`.  With FLIP, :math:`K (1 - H)^{-1} C` is left as the step vanishes, which is not symmetric unless
+:math:`C` and :math:`H` commute: waves may then grow at any step.
 
 Where :math:`K` is symmetric, eigenvalues leave the unit circle at -1 only, since :math:`C \le F \le 1`.  There
 
@@ -51,7 +55,7 @@ class Spectrum:
         self.flip, self.order, self.last = choices.flip, choices.xpic, choices.integrator == "usl"
         self.half: ndarray = np.linalg.qr(layout.half[:, free].toarray(), mode="r")    # type: ignore[assignment]
         self.stiffness, self.slope = _dense(layout.stiffness, free), None
-        if choices.tpic:
+        if choices.tpic and choices.flip:
             self.slope = _dense(layout.slope, free)
         self.symmetric, self.rounding = layout.symmetric, ZERO * layout.fastest ** 2
 
@@ -86,7 +90,10 @@ class Spectrum:
     @property
     def flutters(self) -> bool:
         """Whether waves grow at any step: because of the layout, or of TPIC."""
-        return self.flutter > 0 or self.limit == 0
+        if self.flutter > 0 or self.limit == 0:
+            return True
+        short = SHORT * self.limit
+        return self.slope is not None and np.isfinite(short) and self.rate(short) > self.noise(short)
 
     @cached_property
     def _modes(self) -> tuple[ndarray, ndarray]:
