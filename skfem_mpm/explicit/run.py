@@ -16,7 +16,7 @@ from .bound import chosen_step, share_of_flip, stable_step
 from .boxes import Boxes
 from .dilation import CellMeans
 from .guards import LOOK_EVERY, Guarded
-from .nodes import Nodes
+from .nodes import Nodes, mirrored
 from .state import FIRST, LEDGER, Choices, ExplicitState, remaps
 from .twin import TwinNodes
 
@@ -37,11 +37,10 @@ class Run(Guarded):
         self.kinematics, self.dim = particles.kinematics, particles.dim
         self.covers = choices.integration.covers
         self._check(start)
-        self.planes, self.last = start.boundary, start
+        self.grid, self.planes, self.last = mirrored(self.grid, start.boundary), start.boundary, start
         self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
-        self.doing = start.step + 1
+        self.doing, self.kept = start.step + 1, start.kept
         self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
-        self.kept = start.kept
         method = choices.method
         bases = (method.mass, method.strain, method.force)
         reads_domains = self.covers or any(basis.reads_domains for basis in bases)
