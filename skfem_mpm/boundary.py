@@ -18,7 +18,8 @@ from .particles.inputs import frozen
 class FixedPlane:
     """A plane on a grid line where displacement components are zero.
 
-    Nodes behind it, which GIMP domains may touch, follow the body: u_g = 2 u_0 - u_1.
+    Nodes behind it, which GIMP domains may touch, follow the body: along a straight line in implicit steps, as mirror
+    images in explicit ones.  How wide the cells behind it are does not matter.
 
     Parameters
     ----------

@@ -70,6 +70,13 @@ def check_positive(name: str, value: Any) -> None:
         raise ValueError(f"{name}: got {array.flat[index]} at point {index}, expected numbers above zero.")
 
 
+def check_own(name: str, array: ndarray, n: int) -> None:
+    """Refuse a state whose points are not as many as those that something else in it is of."""
+    if array.shape[-1] != n:
+        raise ValueError(f"{name}: got that of {array.shape[-1]} points in a state with {n}; a state goes on with its "
+                         "own points.  Start anew from the particles.")
+
+
 def check_counts(counts: Mapping[str, tuple[Any, int]]) -> None:
     """Refuse whole numbers that are too small; each comes with the least it may be."""
     for name, (count, least) in counts.items():

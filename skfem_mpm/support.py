@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -115,8 +116,8 @@ class Support:
     # -- slaved nodes ------------------------------------------------------------------------------------------------
 
     def _slave(self, touched: ndarray) -> None:
-        """Number the unknowns; nodes that points touch but nothing holds extrapolate the body, u_g = 2 u_0 - u_1."""
-        by_solved, known = _extrapolation(self.grid.vertices.shape, self.solved, touched & ~self.solved)
+        """Number the unknowns; nodes that points touch but nothing holds extrapolate the body along a straight line."""
+        by_solved, known = _extrapolation(self.grid, self.solved, touched & ~self.solved)
         dim = self.grid.dim
         nodes = np.flatnonzero(known)
         self.number = np.full((dim, self.grid.nnodes), -1)
@@ -160,24 +161,25 @@ class Support:
         return self.sound[tuple(cell)]
 
 
-def _extrapolation(shape: tuple[int, ...], solved: ndarray, wanted: ndarray) -> tuple[csr_array, ndarray]:
+def _extrapolation(grid: Grid, solved: ndarray, wanted: ndarray) -> tuple[csr_array, ndarray]:
     """Rows that express solved nodes by themselves and ``wanted`` ones by them, and which nodes have such a row.
 
-    A node is the mean over the axes of 2 u_0 - u_1, face nodes first, then those behind edges and corners.
+    A node is the mean over the axes of u_0 + r (u_0 - u_1), face nodes first, then those behind edges and corners; r is
+    the ratio of the two cells' widths, 1 on equal cells.
     """
     size = solved.size
     known, left = solved.copy(), np.flatnonzero(wanted)
     itself = np.flatnonzero(solved)
     matrix = csr_array((np.ones(len(itself)), (itself, itself)), shape=(size, size))
     while len(left):
-        near, far = _neighbour_pairs(shape, left)
+        near, far, ratio = _neighbour_pairs(grid, left)
         usable = (near >= 0) & (far >= 0) & known[near] & known[far]
         count = usable.sum(axis=0)
         if not count.any():
             break
         pick = np.nonzero(usable)
-        share = 1 / count[pick[1]]
-        value = np.concatenate([2 * share, -share])
+        share, beyond = 1 / count[pick[1]], ratio[pick]
+        value = np.concatenate([share * (1 + beyond), -share * beyond])
         row = np.tile(left[pick[1]], 2)
         column = np.concatenate([near[pick], far[pick]])
         new = csr_array((value, (row, column)), shape=(size, size)) @ matrix
@@ -187,21 +189,26 @@ def _extrapolation(shape: tuple[int, ...], solved: ndarray, wanted: ndarray) -> 
     return matrix, known
 
 
-def _neighbour_pairs(shape: tuple[int, ...], nodes: ndarray) -> tuple[ndarray, ndarray]:
-    """The next and next but one node of each node in all axis directions, ``(2 dim, n)``; -1 beyond the grid."""
+def _neighbour_pairs(grid: Grid, nodes: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+    """The next and next but one node of each node in all axis directions, ``(2 dim, n)``; -1 beyond the grid.
+
+    Last how far the next one is, in distances of these two.
+    """
+    shape = grid.vertices.shape
     index = np.stack(np.unravel_index(nodes, shape))
-    pairs = []
-    for distance in (1, 2):
-        rows = []
-        for axis in range(len(shape)):
-            for sign in (-1, 1):
-                other = index.copy()
-                other[axis] += sign * distance
-                inside = (other[axis] >= 0) & (other[axis] < shape[axis])
-                other[axis] = np.clip(other[axis], 0, shape[axis] - 1)
-                rows.append(np.where(inside, np.ravel_multi_index(tuple(other), shape), -1))
-        pairs.append(np.stack(rows))
-    return pairs[0], pairs[1]
+    pairs: tuple[list[ndarray], ...] = ([], [], [])
+    for axis, sign in itertools.product(range(len(shape)), (-1, 1)):
+        ways = index[axis] + sign * np.arange(3)[:, None]
+        inside = (ways >= 0) & (ways < shape[axis])
+        ways = np.clip(ways, 0, shape[axis] - 1)
+        for rows, way, there in zip(pairs, ways[1:], inside[1:]):
+            other = index.copy()
+            other[axis] = way
+            rows.append(np.where(there, np.ravel_multi_index(tuple(other), shape), -1))
+        own, near, far = grid.axes[axis][ways]
+        pairs[2].append(np.divide(near - own, far - near, out=np.zeros(len(nodes)), where=inside[2]))
+    near, far, ratio = (np.stack(rows) for rows in pairs)
+    return near, far, ratio
 
 
 def _per_component(scalar: csr_array, dim: int) -> csr_array:

@@ -13,6 +13,7 @@ from skfem_mpm import (
     LinearElastic,
     OutsideGridError,
     Particles,
+    explicit_steps,
     implicit_steps,
     plane_strain,
     uniaxial,
@@ -280,6 +281,79 @@ def test_a_plane_with_points_behind_it_is_refused(at, side):
     mesh, body = boxed(1)
     with pytest.raises(ValueError, match=rf"plane 'base': got point \d+ .* behind the plane at .*side={side}"):
         next(implicit_steps(mesh, body, LAW, [FixedPlane(0, at, side, name="base")], steps=1))
+
+
+# How wide cells are where the body is not says nothing about it.
+
+
+def on_a_plane(behind, side=-1):
+    """A mesh with cells of a width of their own behind a plane at y = 0, and points of which some domains touch it."""
+    lines = np.concatenate([[-2 * behind, -behind], np.arange(6.0)])
+    rng = np.random.default_rng(1)
+    x = np.stack([rng.uniform(0, 5, 40), rng.uniform(0.05, 3, 40)])
+    velocity = 1e-3 * rng.normal(size=x.shape)
+    turn = np.array([[1.0], [-side]])
+    quarter = np.full(40, 0.25)
+    body = Particles(turn * x, quarter, quarter, plane_strain, length=np.full((2, 40), 0.5), velocity=turn * velocity)
+    return MeshQuad.init_tensor(np.arange(-3.0, 9), lines if side < 0 else -lines[::-1]), body
+
+
+def moved(planes, method, behind=1.0, side=-1, engine="numpy", **choices):
+    """Stress on that plane after ten explicit steps."""
+    mesh, body = on_a_plane(behind, side)
+    *_, state = explicit_steps(mesh, body, LinearElastic(E=1.0, nu=0.3), planes, steps=10, every=10, dt=0.05,
+                               method=method, engine=engine, **choices)
+    return state.particles.sigma
+
+
+@pytest.mark.filterwarnings("ignore:the strain of this method")
+@pytest.mark.parametrize("components", [(), (0, 1)], ids=["smooth", "rough"])
+@pytest.mark.parametrize("integration", ["points", "twin"])
+@pytest.mark.parametrize("method", ["mpm", "gimp", "gc"])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_width_of_cells_behind_a_plane_does_not_matter_to_explicit_runs(side, method, integration, components):
+    planes = [FixedPlane(1, 0.0, side, components)]
+    one, *others = (moved(planes, method, behind, side, integration=integration) for behind in (1.0, 0.6, 3.0))
+    for other in others:
+        assert_allclose(other, one, rtol=0, atol=1e-12 * abs(one).max())
+
+
+def test_nor_does_it_to_compiled_runs():
+    pytest.importorskip("numba")
+    planes = [FixedPlane(1, 0.0, -1)]
+    one, other = (moved(planes, "gimp", behind, engine="numba") for behind in (1.0, 0.6))
+    assert_allclose(other, one, rtol=0, atol=1e-12 * abs(one).max())
+
+
+@pytest.mark.parametrize("method", ["mpm", "gimp", "gc", "fe-gimp"])
+@pytest.mark.parametrize("beside", [0.3, 3.0])
+def test_the_width_of_empty_cells_does_not_matter_to_implicit_runs(method, beside):
+    """Domains of a bar reach 0.05 behind a plane, and as far into the empty cell beyond the wall."""
+    x = -0.05 + 4.1 / 8 * (np.arange(8) + 0.5)[None]
+    size = np.full(8, 4.1 / 8)
+    bar = Particles(x, size, size, uniaxial, length=size[None])
+    held = [FixedPlane(0, 0.0, -1), Wall(np.array([[4.0]]), (0.004,))]
+
+    def stress(width):
+        mesh = MeshLine(np.concatenate([[-2 * width, -width], np.arange(5.0), [4 + width, 4 + 2 * width]]))
+        return next(implicit_steps(mesh, bar, LAW, held, steps=1, method=method, strain="small",
+                                   floor=0.0)).particles.sigma
+
+    one = stress(1.0)
+    assert_allclose(stress(beside), one, rtol=0, atol=1e-10 * abs(one).max())
+
+
+@pytest.mark.filterwarnings("ignore:the strain of this method")
+@pytest.mark.parametrize("engine", ["numpy", "numba"])
+@pytest.mark.parametrize("method", ["mpm", "gimp", "gc"])
+def test_planes_at_one_place_are_one_plane(method, engine):
+    """One for each component, say, each with a name of its own."""
+    if engine == "numba":
+        pytest.importorskip("numba")
+    along, across = FixedPlane(1, 0.0, -1, (0,)), FixedPlane(1, 0.0, -1, (1,))
+    whole = moved([FixedPlane(1, 0.0, -1, (0, 1))], method, engine=engine)
+    for planes in ([along, across], [across, along]):
+        assert_array_equal(moved(planes, method, engine=engine), whole)
 
 
 def test_a_plane_of_another_dimension_or_off_the_lines_is_refused():

@@ -546,3 +546,33 @@ def test_the_last_written_file_is_whole(tmp_path, how):
     printed = int((first + said).split()[-1])
     *steps, end = out.read_text().split("\n")[:-1]
     assert end == "end" and len(set(steps)) == 1 and int(steps[0]) in (printed, printed + 1)
+
+
+# -- a state goes on with its own points ----------------------------------------------------------------------------
+
+@pytest.mark.parametrize("count", [1, 30])
+def test_a_state_does_not_take_what_is_of_other_points(count):
+    """One acceleration would otherwise be that of all points, say."""
+    mesh, body = block()
+    fewer = body.where(np.arange(count))
+    tilted = next(explicit_steps(mesh, body, SOIL, FLOOR, steps=1, tpic=True))
+    swung = next(implicit_steps(mesh, body, ELASTIC, FLOOR, steps=1, dt=1e-3))
+    with pytest.raises(ValueError, match=rf"slope: got that of {body.n} points in a state with {count}"):
+        replace(tilted, particles=fewer)
+    with pytest.raises(ValueError, match=rf"acceleration: got that of {body.n} points in a state with {count}"):
+        replace(swung, particles=fewer)
+    assert replace(tilted, particles=fewer, slope=None, order=None, kept=None).particles.n == count
+
+
+@both_engines
+def test_a_body_does_not_pass_a_plane_without_a_word(engine):
+    """A plane that fixes the component along it only lets the body through, to where nodes are images."""
+    if engine == "numba":
+        pytest.importorskip("numba")
+    axis = np.arange(-4.0, 5)
+    body = Particles.fill(MeshQuad.init_tensor(axis, axis), plane_strain, where=lambda x: (x[1] > 0) & (x[1] < 2))
+    body = replace(body, velocity=np.array([[0.0], [-0.2]]) * np.ones((1, body.n)))
+    run = explicit_steps(MeshQuad.init_tensor(axis, axis), body, ELASTIC, [FixedPlane(1, 0.0, -1, (0,), "base")],
+                         steps=200, every=200, dt=0.03, engine=engine)
+    with pytest.raises(UnstableError, match="behind the plane 'base'.*normal component"):
+        next(run)

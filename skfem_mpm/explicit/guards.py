@@ -26,6 +26,7 @@ ROUNDING = 1e-12   # share of the energy of the centre of mass that is not told 
 REACH = 3.0        # cells from a plane within which it may hold the body
 PATIENCE = 10      # looks that must find a point in tension: one that vibrates is so half of the time
 TENSE = 0.01       # tension as a share of the modulus from which bodies leave equilibrium in some thousand steps
+BEHIND = 1e-6      # share of the smallest cell that a point may be behind a plane
 
 
 class Guarded:
@@ -130,6 +131,16 @@ class Guarded:
         self.farthest = np.full_like(self.farthest, np.inf)                 # once is enough
         return True
 
+    def _check_planes(self) -> None:
+        """Stop a run in which a point has passed a plane, as one that does not fix its normal component lets it."""
+        for plane in self.planes:
+            behind = plane.side * (self.x[plane.axis] - plane.at)
+            if behind.max() > BEHIND * self.grid.steps[plane.axis].min():
+                point = self._first(behind > BEHIND * self.grid.steps[plane.axis].min())
+                self._stop(point, f"is {behind[point]:.3g} behind the plane {plane.name!r}, where nodes are images of "
+                           "those in front", "A plane holds points in front of it if it fixes its normal component; "
+                           f"it fixes {plane.components} and is normal to {plane.axis}.")
+
     # -- energy and yield --------------------------------------------------------------------------------------------
 
     def _watch(self) -> None:
@@ -145,6 +156,7 @@ class Guarded:
                           f"{self._cure()}", UserWarning, stacklevel=2)
         self._check_energy(inner, limit)
         self._check_yield()
+        self._check_planes()
         if self.doing % COUNT_EVERY == 0:
             self.pieces.look(self.grid.locate(self.x), np.searchsorted(self.begun, self._numbers()), self.doing)
 
@@ -159,6 +171,7 @@ class Guarded:
         inner, available, noise = self._balance()
         self._check_energy(inner, max(self.work["peak"], available) + noise)
         self._check_yield()
+        self._check_planes()
 
     def _balance(self) -> tuple[float, float, float]:
         """Energy apart from that of the centre of mass, what there is for it, and what rounding makes of that.

@@ -58,7 +58,7 @@ class Nodes:
         self.index = index - np.maximum(index.min(axis=1, keepdims=True) - MARGIN, 0)
         self.kinematics, self.x, self.length, self.edges, self.ring = kinematics, x, length, edges, ring
         self.mapping = self._operators(method.mass, None)
-        self.mirrors = [mirror for plane in planes for mirror in mirrors(grid, plane)]
+        self.mirrors = mirrors(grid, planes)
         self.fixed = np.any([plane.fixes(grid) for plane in planes] or [np.zeros((grid.dim, grid.nnodes))], axis=0)
         self.lumped = self.mapping.to_nodes(mass[None])[0]
         total = self.fold(self.lumped[None].copy(), signed=False)[0]
@@ -207,14 +207,39 @@ class Nodes:
         return self.spread(out)
 
 
-def mirrors(grid: Grid, plane: Any) -> list[tuple[ndarray, ndarray, ndarray]]:
-    """Nodes next to a plane, their images right behind it, and the sign each component takes."""
-    axis = grid.axes[plane.axis]
+def mirrored(grid: Grid, planes: Sequence[Any]) -> Grid:
+    """The grid with each cell right behind a plane as wide as the one in front: its nodes then are where images are."""
+    axes = list(grid.axes)
+    for plane in planes:
+        axis, beside = axes[plane.axis].copy(), _beside(axes[plane.axis], plane)
+        if beside:
+            inside, on, outside = beside
+            image = 2 * axis[on] - axis[inside]
+            if abs(axis[outside] - image) > 1e-9 * np.diff(axis).min():         # equal cells keep their bits
+                axis[outside::plane.side] += image - axis[outside]
+                axes[plane.axis] = axis
+    return Grid(tuple(axes), grid.vertices, grid.cells)
+
+
+def mirrors(grid: Grid, planes: Sequence[Any]) -> list[tuple[ndarray, ndarray, ndarray]]:
+    """Nodes next to planes, their images right behind, and the sign each component takes.
+
+    Planes at one place are one plane, which fixes the components of all.
+    """
+    fixed: dict[tuple[int, int, int], set[int]] = {}
+    for plane in planes:
+        beside = _beside(grid.axes[plane.axis], plane)
+        if beside:
+            fixed.setdefault((plane.axis, beside[0], beside[2]), set()).update(plane.components)
+    numbers = np.arange(grid.nnodes).reshape(grid.vertices.shape)
+    return [(np.take(numbers, inside, axis).ravel(), np.take(numbers, outside, axis).ravel(),
+             np.array([[-1.0 if i in components else 1.0] for i in range(grid.dim)]))
+            for (axis, inside, outside), components in fixed.items()]
+
+
+def _beside(axis: ndarray, plane: Any) -> tuple[int, int, int] | None:
+    """The lines of an axis in front of a plane, on it and behind it; none if one of them is not there."""
     on = int(np.abs(axis - plane.at).argmin())
     inside, outside = on - plane.side, on + plane.side
-    if abs(axis[on] - plane.at) > 1e-9 * np.diff(axis).min() or not (0 <= min(inside, outside)
-                                                                     and max(inside, outside) < len(axis)):
-        return []
-    numbers = np.arange(grid.nnodes).reshape(grid.vertices.shape)
-    signs = np.array([[-1.0 if i in plane.components else 1.0] for i in range(grid.dim)])
-    return [(np.take(numbers, inside, plane.axis).ravel(), np.take(numbers, outside, plane.axis).ravel(), signs)]
+    there = abs(axis[on] - plane.at) <= 1e-9 * np.diff(axis).min()
+    return (inside, on, outside) if there and 0 <= min(inside, outside) and max(inside, outside) < len(axis) else None

@@ -16,7 +16,7 @@ from .bound import chosen_step, share_of_flip, stable_step
 from .boxes import Boxes
 from .dilation import CellMeans
 from .guards import LOOK_EVERY, Guarded
-from .nodes import Nodes
+from .nodes import Nodes, mirrored
 from .state import LEDGER, Choices, ExplicitState, remaps
 from .twin import TwinNodes
 
@@ -36,9 +36,9 @@ class Run(Guarded):
         self.kinematics, self.dim = particles.kinematics, particles.dim
         self.covers = choices.integration.covers
         self._check(start)
-        self.planes, self.last, self.kept = start.boundary, start, start.kept
+        self.grid, self.planes, self.last = mirrored(self.grid, start.boundary), start.boundary, start
         self.step, self.time, self.dt, self.refreshed = start.step, start.time, start.dt, start.refreshed
-        self.doing = start.step + 1
+        self.doing, self.kept = start.step + 1, start.kept
         self.work = {name: start.energy.get(name, 0.0) for name in LEDGER}
         method = choices.method
         bases = (method.mass, method.strain, method.force)

@@ -10,7 +10,7 @@ from typing import Any
 from numpy import ndarray
 
 from ..basis import Method
-from ..checks import check_guards
+from ..checks import check_guards, check_own
 from ..grid import Edges
 from ..integration import Points
 from ..particles import Particles
@@ -71,8 +71,9 @@ class ExplicitState:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "energy", MappingProxyType(dict(self.energy)))
-        for array in (self.order, self.kept, self.slope):
-            if array is not None:
+        for name in ("order", "kept", "slope"):
+            if (array := getattr(self, name)) is not None:
+                check_own(name, array, self.particles.n)
                 array.flags.writeable = False
 
     def __reduce__(self) -> tuple:

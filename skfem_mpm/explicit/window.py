@@ -40,7 +40,7 @@ class Window:
         number = np.arange(self.nnodes).reshape(shape)[clipped].ravel()
         self.fixed = np.zeros((self.nnodes, dim))
         self.fixed[number] = np.any([plane.fixes(part) for plane in planes] or [np.zeros((dim, part.nnodes))], axis=0).T
-        found = [mirror for plane in planes for mirror in mirrors(part, plane)]
+        found = mirrors(part, planes)
         self.inside = np.concatenate([number[:0]] + [number[i] for i, _, _ in found])
         self.outside = np.concatenate([number[:0]] + [number[o] for _, o, _ in found])
         self.signs = np.concatenate([np.ones((0, 2 * dim))] + [np.tile(signs[:, 0], (len(i), 2))

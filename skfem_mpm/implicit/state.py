@@ -10,6 +10,7 @@ from typing import Any
 from numpy import ndarray
 
 from ..basis import Method
+from ..checks import check_own
 from ..grid import Edges
 from ..particles import Particles
 
@@ -71,6 +72,8 @@ class State:
     _recovery: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        if self.acceleration is not None:
+            check_own("acceleration", self.acceleration, self.particles.n)
         for array in (self.displacement, *self.reactions.values(), self.acceleration):
             if array is not None:
                 array.flags.writeable = False
