@@ -83,37 +83,44 @@ class Nodes:
 
     # -- which nodes carry, and which follow -------------------------------------------------------------------------
 
-    def _around(self, nodes: ndarray) -> tuple[ndarray, ndarray]:
-        """Pairs of these nodes and those around them, themselves included."""
+    def _around(self, nodes: ndarray) -> tuple[ndarray, ndarray, ndarray]:
+        """Pairs of these nodes and those around them, themselves included, and along how many axes they differ."""
         shape = np.array(self.grid.vertices.shape)[:, None]
         place = np.reshape(np.unravel_index(nodes, self.grid.vertices.shape), (len(shape), -1))
         pairs = []
         for offset in itertools.product((-1, 0, 1), repeat=self.grid.dim):
             other = place + np.array(offset)[:, None]
             inside = ((other >= 0) & (other < shape)).all(axis=0)
-            pairs.append((nodes[inside], np.ravel_multi_index(tuple(other[:, inside]), self.grid.vertices.shape)))
-        source, target = zip(*pairs)
-        return np.concatenate(source), np.concatenate(target)
+            pairs.append((nodes[inside], np.ravel_multi_index(tuple(other[:, inside]), self.grid.vertices.shape),
+                          np.full(inside.sum(), np.count_nonzero(offset))))
+        source, target, away = zip(*pairs)
+        return np.concatenate(source), np.concatenate(target), np.concatenate(away)
 
     def _carries(self, total: ndarray) -> ndarray:
         """Active nodes; one that is light on the whole grid may be heavy where it is, in a body of its own."""
         active = total > CUTOFF * total.max()
         doubtful = np.flatnonzero((total > 0) & ~active)
-        source, target = self._around(doubtful)
+        source, target, _ = self._around(doubtful)
         largest = np.zeros(len(total))
         np.maximum.at(largest, source, total[target])
         active[doubtful] = total[doubtful] > CUTOFF * largest[doubtful]
         return active
 
     def _lighten(self, reads_domains: bool) -> None:
-        """Light nodes, and the equal shares that active nodes around them take."""
+        """Light nodes, and the equal shares that active nodes around them take: those across a cell's face, if any.
+
+        Those across edges and corners are further away, and an uneven number of them would shear what is stretched.
+        """
         self.occupied = self.grid.occupied(self.index)
         read = corner_nodes(wider(self.occupied) if reads_domains else self.occupied).ravel()
         for inside, outside, _ in self.mirrors:                         # who reads an image reads what it shows
             read[inside] |= read[outside]
             read[outside] = False
-        source, target = self._around(np.flatnonzero(read & ~self.active))
-        source, target = source[self.active[target]], target[self.active[target]]
+        pairs = self._around(np.flatnonzero(read & ~self.active))
+        source, target, away = (each[self.active[pairs[1]]] for each in pairs)
+        nearest = np.full(len(self.active), self.grid.dim)
+        np.minimum.at(nearest, source, away)
+        source, target = source[away == nearest[source]], target[away == nearest[source]]
         self.light, row, count = np.unique(source, return_inverse=True, return_counts=True)
         self.share = csr_array((1 / count[row], (row, target)), shape=(len(self.light), self.grid.nnodes))
 

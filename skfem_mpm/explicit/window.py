@@ -24,6 +24,9 @@ class Window:
         ``(2, dim)``; first node and stride along each axis.
     fixed
         ``(nnodes, dim)``; which components stand still.
+    around
+        ``(dim, k)``; steps to the nodes across faces of the cells around a node, across edges, across corners, filled
+        up with zeros.
     inside, outside, signs
         Pairs of nodes mirrored at planes, and the sign of each column of momentum and force, or of ``all_signs`` with
         mass before them.
@@ -54,7 +57,10 @@ class Window:
         """Steps to the nodes around a node, the corners, faces and diagonals of a cell."""
         dim = len(stride)
         around = [np.array(offset) for offset in itertools.product((-1, 0, 1), repeat=dim)]
-        self.around = np.array([offset @ stride for offset in around])
+        rows = [[offset @ stride for offset in around if np.count_nonzero(offset) == away]
+                for away in range(1, dim + 1)]
+        widest = max(len(row) for row in rows)
+        self.around = np.array([row + [0] * (widest - len(row)) for row in rows])
         self.corners = np.array([np.array(offset) @ stride for offset in itertools.product((0, 1), repeat=dim)])
         self.faces = np.array([sign * stride[k] for k in range(dim) for sign in (-1, 1)])
         self.diagonals = np.array([(offset @ stride, sum(1 << (2 * k + (o > 0)) for k, o in enumerate(offset) if o))

@@ -26,6 +26,8 @@ def classify(g, cutoff, offsets, active, lights):
     """Active nodes by their folded mass, and the light ones: those with mass that are not active.
 
     A node is active if it has more mass than the share ``cutoff`` of the largest one, on the grid or around it.
+    ``offsets`` lead to the nodes around one: a row to those across faces, then across edges, then across corners,
+    filled up with zeros; a light node itself is not active.
     """
     largest, count = 0.0, 0
     for i in range(len(g)):
@@ -35,8 +37,8 @@ def classify(g, cutoff, offsets, active, lights):
         mass = g[U(i), 0]
         active[U(i)] = mass > least
         if mass > 0 and not mass > least:
-            near = 0.0
-            for offset in offsets:
+            near = mass
+            for offset in offsets.flat:
                 near = max(near, g[i + offset, 0])
             active[i] = mass > cutoff * near
             lights[count] = i
@@ -45,14 +47,25 @@ def classify(g, cutoff, offsets, active, lights):
 
 
 @njit(**INLINE)
-def _collect(g, active, lights, count, offsets):
-    for k in range(count):
-        node, around = lights[k], 0
-        for offset in offsets:
+def _nearest(node, active, offsets):
+    """How many active nodes are nearest to a light one, and in which row of the offsets."""
+    for row in range(len(offsets)):
+        around = 0
+        for offset in offsets[row]:
             around += active[node + offset]
         if around:
+            return around, row
+    return 0, 0
+
+
+@njit(**INLINE)
+def _collect(g, active, lights, count, offsets):
+    for k in range(count):
+        node = lights[k]
+        around, row = _nearest(node, active, offsets)
+        if around:
             share = 1 / around
-            for offset in offsets:
+            for offset in offsets[row]:
                 if active[node + offset]:
                     for j in range(g.shape[1]):
                         g[node + offset, j] += share * g[node, j]
@@ -86,12 +99,11 @@ def gather(g, inside, outside, signs, offsets, active, lights, count):
 @njit(**INLINE)
 def _spread(nodal, inside, outside, signs, offsets, active, lights, count):
     for k in range(count):
-        node, around = lights[k], 0
-        for offset in offsets:
-            around += active[node + offset]
+        node = lights[k]
+        around, row = _nearest(node, active, offsets)
         for j in range(nodal.shape[1]):
             nodal[node, j] = 0.0
-        for offset in offsets:
+        for offset in offsets[row]:
             if active[node + offset]:
                 for j in range(nodal.shape[1]):
                     nodal[node, j] += nodal[node + offset, j] / around
