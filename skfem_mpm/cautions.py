@@ -14,28 +14,29 @@ from skfem import Mesh
 
 from .checks import whereabouts
 from .grid import Grid
-from .kinematics import Kinematics, moduli_at_rest
+from .kinematics import STRAINS, Kinematics, moduli_at_rest
 from .particles import Particles
 
 LOCKS = 0.45           # Poisson's ratio from which points that each see a dilation of their own lock
+MISMATCH = 1e-6        # share of stress, and of that share of stiffness, that is not told from rounding
 CONTRAST = 100.0       # of the stiffness of points in a cell, beyond which the stiffest alone says how stiff that is
 
 
-def caution(mesh: Mesh, particles: Particles, material: Any, remedy: str, stacklevel: int = 3) -> None:
-    """Warn of a law that locks, and of cells that cannot tell their points apart.
+def caution(mesh: Mesh, particles: Particles, material: Any, strain: str, remedy: str, stacklevel: int = 3) -> None:
+    """Warn of strain without its stress, a law that locks, and cells that cannot tell their points apart.
 
     Parameters
     ----------
-    mesh, particles, material, remedy
+    mesh, particles, material, strain, remedy
         Of the run.
     stacklevel
         How many frames up the warning points.
     """
     kinematics = particles.kinematics
     elastic = moduli_at_rest(material, particles.history, kinematics.ncomp, particles.n, kinematics.rows(particles.dim))
-    words: list[str] = []
     if not np.isfinite(elastic).all():              # refused where it is needed
         return
+    words = _of_start(particles, material, strain, abs(elastic).max())
     if remedy == "none":
         words += _of_locking(elastic, kinematics, particles.dim)
     if elastic.shape[2] > 1:
@@ -55,6 +56,24 @@ def caution_at_axis(particles: Particles, method: Any, stacklevel: int = 3) -> N
         warnings.warn(f"length: the domain of point {point} at r = {particles.x[0, point]:g} reaches over the axis, "
                       "where it is cut off, and hoop strain is wrong; use method='gimp', or domains that end there.",
                       UserWarning, stacklevel=stacklevel + 1)
+
+
+def _of_start(particles: Particles, material: Any, strain: str, modulus: float) -> list[str]:
+    """What is said of strain that is not read, or that is not the one of the stress."""
+    sigma, epsilon = particles.sigma, particles.epsilon
+    if epsilon is None or sigma is None or strain == "small":
+        unread = epsilon is not None and epsilon.any() and sigma is None and strain == "small"
+        return ["epsilon: got strain without stress, which strain='small' does not read; give sigma."] * bool(unread)
+    motion = STRAINS[strain](particles.kinematics, particles.dim, material, sigma, epsilon, particles.history)
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = motion.respond(np.zeros((len(motion.places), particles.n))).sigma
+    off = abs(found - sigma).max(axis=0)
+    if off.max() <= MISMATCH * max(abs(sigma).max(), abs(found).max(), MISMATCH * modulus):
+        return []
+    point = int(off.argmax())
+    return [f"epsilon: got strain that goes with the stress {found[:, point]} at {whereabouts(particles.x, point)}, "
+            f"not with the sigma {sigma[:, point]} given there; with strain={strain!r} the strain counts: leave one of "
+            "them out."]
 
 
 def _of_locking(elastic: ndarray, kinematics: Kinematics, dim: int) -> list[str]:

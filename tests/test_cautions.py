@@ -9,6 +9,7 @@ from shared import compiled
 from skfem import MeshLine, MeshQuad
 
 from skfem_mpm import (
+    Hencky,
     LinearElastic,
     Particles,
     axisymmetric,
@@ -53,6 +54,24 @@ def heard(solve, mesh, body, law, boundary, **choices):
         warnings.simplefilter("always")
         next(solve(mesh, body, law, boundary, steps=1, **choices))
     return [str(each.message) for each in said if each.category is UserWarning]
+
+
+# -- strain without its stress -----------------------------------------------------------------------------------------
+
+@solvers
+def test_strain_that_does_not_go_with_the_stress_is_told(solve):
+    mesh, body, planes = square()
+    law, epsilon = Hencky(E=1.0, nu=0.0), np.zeros((4, body.n))
+    epsilon[0, 3] = 0.01
+    good = replace(body, epsilon=epsilon, sigma=law.update(epsilon, 0 * epsilon, np.zeros((0, body.n)),
+                                                           plane_strain.components)[0] / np.exp(epsilon[0]))
+    assert not heard(solve, mesh, good, law, planes, strain="logarithmic")
+    assert not heard(solve, mesh, replace(good, epsilon=None), UNIT, planes, strain="small")
+    assert not heard(solve, mesh, replace(good, sigma=None), law, planes, strain="logarithmic")
+    said, = heard(solve, mesh, replace(good, sigma=2 * good.sigma), law, planes, strain="logarithmic")
+    assert said.startswith("epsilon: got strain that goes with the stress [0.0099") and "point 3 at" in said
+    said, = heard(solve, mesh, replace(good, sigma=None), UNIT, planes, strain="small")
+    assert said.startswith("epsilon: got strain without stress")
 
 
 # -- locking ----------------------------------------------------------------------------------------------------------

@@ -144,7 +144,7 @@ def explicit_steps(mesh: Mesh, start: Particles | ExplicitState, material: Any,
                   remedy=remedy, damping=damping, gravity=gravity, ramp=ramp, dt=dt, safety=safety, refresh=refresh,
                   leaving=leaving, engine=engine, threads=threads, guards=guards)
     warn_of_relaxed(run.choices.guards)
-    caution(mesh, run.last.particles, material, remedy)
+    caution(mesh, run.last.particles, material, strain, remedy)
     if not run.choices.method.conjugate:
         warnings.warn("the strain of this method is not conjugate to its forces: elastic waves grow, at any time step; "
                       "with 'cmpm-c' and 'gimp' they do not.", UserWarning, stacklevel=2)

@@ -59,9 +59,9 @@ class Run(Guarded):
             self.slope = np.zeros((self.dim ** 2, n)) if start.slope is None else start.slope
         self.symmetric = [self.kinematics.packed_index(place) for place in self.kinematics.rows(self.dim)]
         motion = self._motion()
-        motion.respond(np.zeros((len(self.symmetric), n)))              # a law that does not fit says so now
-        if finite:
-            self.epsilon = motion.start.copy()                          # stress given without strain stands for one
+        held = motion.respond(np.zeros((len(self.symmetric), n)))       # a law that does not fit says so now
+        if finite:                                                      # each stands for the other if given without
+            self.epsilon, self.sigma = motion.start.copy(), held.sigma if particles.sigma is None else self.sigma
         self._begin_watch(start)
         self._count_given(start)
         self.rests_on = material, start.boundary, replace(choices, load=None, guards={})

@@ -255,7 +255,7 @@ def _initial(start: Any, boundary: Any, free: bool) -> State:
 
 def _run(mesh: Any, state: State, material: Any, options: Options, steps: int, gravity: Any, max_cuts: int,
          lenient: bool) -> Iterator[State]:
-    caution(mesh(state) if callable(mesh) else mesh, state.particles, material, options.remedy)
+    caution(mesh(state) if callable(mesh) else mesh, state.particles, material, options.strain, options.remedy)
     caution_at_axis(state.particles, options.method)
     start, parts = state, None
     for _ in range(steps):
