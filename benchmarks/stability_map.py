@@ -59,7 +59,8 @@ def measured(jobs, quick, workers):
     os.environ["OMP_NUM_THREADS"] = "1"                     # there is a worker for every core
     found = {}
     with ProcessPoolExecutor(workers) as pool:
-        runs = {pool.submit(measure, job, quick): job for job in jobs}
+        longest_first = sorted(jobs, key=lambda job: job[0] != "long_runs")
+        runs = {pool.submit(measure, job, quick): job for job in longest_first}
         for run in tqdm(as_completed(runs), total=len(runs), disable=None):
             found[runs[run]] = run.result()
     table = {}

@@ -160,7 +160,7 @@ for axis, loading in zip(axes, EXPECTED):
         toe, rough = noise[loading, method].T
         axis.semilogy(100 * toe, 100 * rough, color=COLOURS[method], label=method)
     axis.set_xlabel("displacement of the toe [cm]")
-    axis.set_title(f"{loading} gravity: {words[loading]}", fontsize="medium")
+    axis.set_title(f"{loading} gravity\n{words[loading]}", fontsize="medium")
     axis.grid(alpha=0.3)
 axes[0].set_ylim(1e-3, 1e2)
 axes[0].legend(loc="lower right")
