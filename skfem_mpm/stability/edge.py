@@ -77,7 +77,7 @@ class Growth:
     limit: float
 
     def __str__(self) -> str:
-        cure = "take 'cmpm-c' or 'gimp'" if self.flutter else "it is the transfer, take flip=0 with tpic"
+        cure = "take 'cmpm-c' or 'gimp'" + ("" if self.flutter else ", and flip=0 with tpic")
         said = {"none": "none", "flutter": f"{self.rate:.4g}, waves flutter at any step; {cure}",
                 "step": f"{self.rate:.4g}, the step is too long"}[self.cause]
         return f"growth with a step of {self.dt:.4g} (limit {self.limit:.4g}): {said}"

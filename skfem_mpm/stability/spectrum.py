@@ -89,11 +89,16 @@ class Spectrum:
 
     @property
     def flutters(self) -> bool:
-        """Whether waves grow at any step: because of the layout, or of TPIC."""
+        """Whether waves grow at steps below the limit: because of the layout, of TPIC, or of both.
+
+        Where the stiffness is not symmetric, what a transfer damps may make waves grow that did not by themselves.
+        """
         if self.flutter > 0 or self.limit == 0:
             return True
-        short = SHORT * self.limit
-        return self.slope is not None and np.isfinite(short) and self.rate(short) > self.noise(short)
+        if self.leapfrog or not np.isfinite(self.limit) or (self.symmetric and self.slope is None):
+            return False
+        dt = self.limit * (0.5 if self.slope is None else SHORT)
+        return self.rate(dt) > self.noise(dt)
 
     @cached_property
     def _modes(self) -> tuple[ndarray, ndarray]:
