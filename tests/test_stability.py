@@ -203,9 +203,8 @@ def layouts_with_tpic(dim, seeds, **choices):
 
 
 @pytest.mark.parametrize("choices", [{}, pytest.param({"integrator": "usl"}, marks=pytest.mark.slow)], ids=names)
-@pytest.mark.parametrize("method", SYMMETRIC)
-@pytest.mark.parametrize("dim, count", [(1, 100), (2, 15), pytest.param(1, 500, marks=pytest.mark.slow),
-                                        pytest.param(2, 500, marks=pytest.mark.slow)])
+@symmetric_methods
+@pytest.mark.parametrize("dim, count", [(1, 100), (2, 15), pytest.param(2, 100, marks=pytest.mark.slow)])
 def test_the_step_of_a_run_is_safe_with_tpic(dim, count, method, choices):
     """No wave grows at the whole bound, nor at a tenth of it, and it is not far below the limit of most layouts."""
     shares = []
