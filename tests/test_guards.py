@@ -511,12 +511,13 @@ def test_the_last_state_outlives_what_stops_a_run(stop, kind):
 
 
 WRITER = """
-import resource, sys
+import resource, signal, sys
 import numpy as np
 from skfem import MeshLine
 from skfem_mpm import LinearElastic, Particles, explicit_steps, uniaxial
 from skfem_mpm.output import write_text
 
+signal.signal(signal.SIGINT, signal.default_int_handler)         # which jobs in the background ignore
 grid = MeshLine(np.linspace(0, 2, 41))
 bar = Particles.fill(MeshLine(np.linspace(0.5, 1, 11)), uniaxial)
 out, limited = sys.argv[1], sys.argv[2] == "memory"
